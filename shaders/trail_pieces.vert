@@ -14,7 +14,8 @@ uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-
 uniform sampler2D chosen;         // of each column: the star's index, its truncation radius, px, and transmission
 // Under a rolling shutter in a second row: the first piece that is drawn of the star, and the one after the last.
 uniform sampler2D passage;        // transmission of cloud by column and piece; one texel of 1 without
-uniform float sigma_px;           // of a star as the pixels record it
+uniform float sigma_px;           // of the Gaussians that are drawn: pixel_kernel.glsl
+uniform float effective_sigma_px; // of a star as the pixels record it
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
 
 #if ROWS
@@ -85,6 +86,11 @@ Piece piece_of(vec3 direction_eq, int row, float radius_px) {
     return Piece(centre_px, covariance_px2, upper.w * transmission);
 }
 
+// Standard deviations along x and y, as the pixels record them.
+vec2 recorded_px(Piece piece) {
+    return sqrt(piece.covariance_px2.xz + (effective_sigma_px * effective_sigma_px - sigma_px * sigma_px));
+}
+
 // Fraction of a Gaussian in a square around another point.
 float fraction_in_square(vec2 from_middle_px, vec2 width_px, float half_px) {
     vec2 far = (half_px + abs(from_middle_px)) / width_px, near = (half_px - abs(from_middle_px)) / width_px;
@@ -104,7 +110,7 @@ void main() {
     vec2 low_px = vec2(FAR_PX), high_px = vec2(-FAR_PX);
     for (int k = 0; k < PIECES_PER_SPRITE; ++k) {
         Piece piece = piece_of(star.xyz, int(sprite.y) * PIECES_PER_SPRITE + k, radius_px);
-        vec2 reach_px = radius_px * sqrt(piece.covariance_px2.xz) / sigma_px + SNAPPING_PX;
+        vec2 reach_px = radius_px * recorded_px(piece) / effective_sigma_px + SNAPPING_PX;
         low_px  = piece.light > 0.0 ? min(low_px, piece.centre_px - reach_px) : low_px;
         high_px = piece.light > 0.0 ? max(high_px, piece.centre_px + reach_px) : high_px;
         vec3 px2 = piece.covariance_px2;
@@ -124,7 +130,7 @@ void main() {
         Piece piece = pieces[k];
         all_flux += piece.light;
         drawn_flux += piece.light == 0.0 ? 0.0 : piece.light
-            * fraction_in_square(piece.centre_px - middle_px, sqrt(piece.covariance_px2.xz), half_px);
+            * fraction_in_square(piece.centre_px - middle_px, recorded_px(piece), half_px);
     }
     amplitudes_dn *= all_flux / max(drawn_flux, 1e-9);
     // A clipped point would send all of the call through a slower part of llvmpipe.  This one lies in a corner of the

@@ -17,15 +17,11 @@ from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.starpaths import end_rates_px, end_weights, probe_rays
-from glstar.render.motion.trailmodels import SegmentLimit, SpriteCost
 from glstar.rotation import turn_from_matrix
 from glstar.sky.air.refraction import refraction_displacement
 
 # Start and end times of segments, (segments,) each, UTC seconds since 1970.
 Segments = tuple[Float, Float]
-# Probe paths, (times, segments, probes, 2) px, and the error of each segment divided by the tolerance, (segments,):
-# acceptable up to 1, NaN if unknown.
-Evaluated = tuple[Float, Float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +56,8 @@ class Refinement:
     # more there are.
     max_parts: int = 24
     unknown_parts: int = 4  # Number of parts where the error is unknown
-    # Whether sprites are cheaper is tested with this fraction of the break-even number of segments.
-    sprite_margin: float = 0.7
+    # Whether a number of segments suffices is tested with this fraction of it.
+    trial_fraction: float = 0.7
 
 
 TOLERANCES = Tolerances()
@@ -83,33 +79,32 @@ def segment_times(
     camera: Camera,
     sigma_px: float,
     *,
-    sprite_cost: SpriteCost | SegmentLimit | None = None,
+    most: int | None = None,
     position_px: float = TOLERANCES.position_px,
 ) -> Float | None:
     """Return the ends and the middles of the segments of an exposure, (2 m + 1,) UTC seconds since 1970.
 
     They are the start, the middle and the end of the first segment, which is the start of the second, and so on; None
-    if the motion is so rough that sprites cost less.
+    if the motion is so rough that it takes more segments than `most`.
 
     - `nodes_s` (n,): start and end of the exposure, and between them the samples of the log, where the turn rate may
       change discontinuously.  A segment is divided at a rate discontinuity, or evenly if it contains none.
     - `camera`: errors are evaluated at nine points of its field: corners, middles of the sides and centre; behind a
       lens at 25.
     - `sigma_px`: standard deviation of a star as the pixels record it, px.
-    - `sprite_cost`: cost of drawing the exposure as sub-exposures instead, or the maximum number of segments.
     - `position_px`: largest distance between a star's true and drawn positions at the same time, px.
     """
     evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px, position_px)
     segments = nodes_s[:1], nodes_s[-1:]
-    if sprite_cost is None:
+    if most is None:
         evaluated = evaluator.evaluate(segments)
     else:
         # Both are evaluated in one request: see `_SegmentEvaluator.evaluate`.
-        parts = _trial_parts(nodes_s, sprite_cost)
+        parts = _trial_parts(nodes_s, most)
         evaluated = evaluator.evaluate(parts, segments)
-        if _sprites_are_cheaper(evaluator, parts, *next(evaluated), sprite_cost):
+        if _takes_more(evaluator, parts, next(evaluated), most):
             return None
-    _, excess = next(evaluated)
+    excess = next(evaluated)
     starts = np.sort(np.concatenate([begins for begins, _ in evaluator.refined(segments, excess)]))
     times = np.empty(2 * len(starts) + 1)
     times[:-1:2] = starts
@@ -118,28 +113,21 @@ def segment_times(
     return times
 
 
-def _trial_parts(nodes_s: Float, sprite_cost: SpriteCost | SegmentLimit) -> Segments:
-    """Return equal parts of an exposure, somewhat fewer than the segments that cost as much as sub-exposures.
+def _trial_parts(nodes_s: Float, most: int) -> Segments:
+    """Return equal parts of an exposure, somewhat fewer than a number of segments.
 
-    If several of them have to be divided, segments cost more.
+    If several of them have to be divided, it takes more segments.
     """
-    count = max(1, int(REFINEMENT.sprite_margin * sprite_cost.in_segments(0.0)))
-    marks_s = np.linspace(nodes_s[0], nodes_s[-1], count + 1)
+    marks_s = np.linspace(nodes_s[0], nodes_s[-1], max(1, int(REFINEMENT.trial_fraction * most)) + 1)
     return marks_s[:-1], marks_s[1:]
 
 
-def _sprites_are_cheaper(
-    evaluator: "_SegmentEvaluator", parts: Segments, xy: Float, excess: Float, sprite_cost: SpriteCost | SegmentLimit
-) -> bool:
-    """Return whether an exposure, of which `parts` have been evaluated, needs more segments than sprites cost."""
-    if (excess <= 1.0).all():
-        return False
-    steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
-    max_segments = sprite_cost.in_segments(float(np.nansum(steps_px, axis=(0, 1)).max()))
+def _takes_more(evaluator: "_SegmentEvaluator", parts: Segments, excess: Float, most: int) -> bool:
+    """Return whether an exposure, of which `parts` have been evaluated, takes more segments than a number."""
     accepted = 0
     for begins, remaining in evaluator.refined(parts, excess):
         accepted += len(begins)
-        if accepted + remaining > max_segments:
+        if remaining and accepted + remaining > most:
             return True
     return False
 
@@ -157,8 +145,8 @@ class _SegmentEvaluator:
         self._position_px = position_px
         self._at_nodes: Pointing | None = None
 
-    def evaluate(self, *several: Segments) -> Iterator[Evaluated]:
-        """Yield for each set of segments the probe paths, and each segment's error divided by the tolerance."""
+    def evaluate(self, *several: Segments) -> Iterator[Float]:
+        """Yield for each set of segments the error of each divided by the tolerance; NaN if unknown."""
         elapsed = [self._elapsed(begins, ends) for begins, ends in several]
         times_s = [_times_s(*of_segments, at) for of_segments, at in zip(several, elapsed, strict=True)]
         # The nodes are requested with the first samples, because a request costs more than its times.
@@ -172,7 +160,7 @@ class _SegmentEvaluator:
             fraction = length_s / (self._nodes_s[-1] - self._nodes_s[0])
             excess = segment_excess(xy, rates_px, fraction, self._sigma_px, self._position_px, at)
             excess[length_s < REFINEMENT.shortest_s] = 0.0
-            yield xy, excess
+            yield excess
 
     def _elapsed(self, begins: Float, ends: Float) -> Float:
         """Return the elapsed fractions of segments at which they are evaluated, (times, segments).
@@ -197,7 +185,7 @@ class _SegmentEvaluator:
             accepted = begins[acceptable]
             begins, ends = self._divided(begins[~acceptable], ends[~acceptable], excess[~acceptable])
             yield accepted, len(begins)
-            _, excess = next(self.evaluate((begins, ends)))
+            excess = next(self.evaluate((begins, ends)))
         yield begins, 0
 
     def _divided(self, begins: Float, ends: Float, excess: Float) -> Segments:

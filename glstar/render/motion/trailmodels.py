@@ -1,9 +1,8 @@
 """The two trail models: an exposure is summed from sub-exposures, or integrated analytically over segments.
 
 A `TrailModel` holds the camera's orientation over one exposure in the form that its renderer pass consumes, and
-computes from the same numbers where each star is drawn: truth and overlays use that.  ``trail = "auto"`` chooses one by
-a fixed relative cost: output must not depend on the computer that draws it.  `CameraPath` divides segments into pieces,
-each with the mean and the covariance of the motion during it.
+computes from the same numbers where each star is drawn: truth and overlays use that.  `CameraPath` divides segments into
+pieces, each with the mean and the covariance of the motion during it.
 """
 
 from collections.abc import Iterator
@@ -182,33 +181,6 @@ class SubExposureRule:
     def count(self, trail_px: float) -> int:
         """Return the number of sub-exposures for the longest trail: max(min_count, ceil(trail / spacing))."""
         return max(self.min_count, ceil(trail_px / self.spacing_px))
-
-
-# Cost of one analytic segment, in sub-exposures: 1.3 sprites of four sub-exposures each (Mesa llvmpipe, tests/bench).
-SUB_EXPOSURES_PER_SEGMENT = 4 * 1.3
-
-
-@dataclass(frozen=True, slots=True)
-class SpriteCost:
-    """The cost of drawing an exposure as sub-exposures."""
-
-    sub_exposures: SubExposureRule  # How many there are
-    sub_exposures_per_segment: float  # Cost of one analytic segment, in sub-exposures
-
-    def in_segments(self, trail_px: float) -> float:
-        """Return the number of analytic segments that cost as much, given the longest trail on the image, px."""
-        return self.sub_exposures.count(trail_px) / self.sub_exposures_per_segment
-
-
-@dataclass(frozen=True, slots=True)
-class SegmentLimit:
-    """A limit of the number of segments, whatever the trails."""
-
-    count: int
-
-    def in_segments(self, trail_px: float) -> float:  # noqa: ARG002 - as of `SpriteCost`
-        """Return the limit; see `SpriteCost.in_segments`."""
-        return self.count
 
 
 # Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).

@@ -114,11 +114,11 @@ def in_pieces(
 ) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
-    None, too, for stars so narrow that they are integrated over the area of a pixel.  `trails`: those of the scene;
+    `trails`: those of the scene;
     `largest_point_px`: the largest point sprite of the driver, px; `openings`: those of a rolling shutter.
     """
     sensor, drawn = scene.sensor, scene.draw_list
-    if sensor.needs_erf or len(trails) < costs.min_segments:
+    if len(trails) < costs.min_segments:
         return None
     rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index], scene.camera).T
     is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)

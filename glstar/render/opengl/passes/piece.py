@@ -128,7 +128,7 @@ class PiecePass:
         self._context = context
         self._sprites = StarSprites(context, stars, (_TEXELS, _PIECES_PER_CALL), 2)
         try:
-            self._program(0, mosaic=False, rolling=False)
+            self._program(0, narrow=False, mosaic=False, rolling=False)
         except BaseException:
             self.release()
             raise
@@ -139,7 +139,10 @@ class PiecePass:
         drawn = scene.draw_list
         tints = cell_tints(scene, target.guard_band_px)
         program, vertices = self._program(
-            target.lens.kind, mosaic=tints is not None, rolling=part.drawn is not None
+            target.lens.kind,
+            narrow=scene.sensor.needs_erf,
+            mosaic=tints is not None,
+            rolling=part.drawn is not None,
         )
         self._set_uniforms(program, scene, target)
         texels = _piece_texels(part.pieces)
@@ -164,22 +167,23 @@ class PiecePass:
 
     def _set_uniforms(self, program: moderngl.Program, scene: Scene, target: StarTarget) -> None:
         sensor, pointing = scene.sensor, scene.trails.pointing
-        peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
         set_uniforms(
             program,
             refraction_scale=pointing.refraction_scale,
             sine_horizon=pointing.sine_horizon,
             target_px=target.light.size,
-            sigma_px=sensor.effective_sigma_px,
-            vmag_0_peak_dn=sensor.effective_peak * peak_dn * target.clock.span,
+            sigma_px=drawn_sigma_px(sensor),
+            effective_sigma_px=sensor.effective_sigma_px,
+            vmag_0_peak_dn=still_peak_dn(sensor, scene.exposure.duration_s, target.clock.span),
         )
         target.lens.bind(program, scene.camera, target.guard_band_px)
 
-    def _program(self, lens: int, *, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+    def _program(self, lens: int, *, narrow: bool, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
         return self._sprites.program(
             "trail_pieces.vert",
             "trail_pieces.frag",
             PIECES_PER_SPRITE=PIECES_PER_SPRITE,
+            NARROW=int(narrow),
             MOSAIC=int(mosaic),
             ROWS=int(rolling),
             LENS=lens,
