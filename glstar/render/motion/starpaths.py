@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from math import ceil
+from math import ceil, pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +63,8 @@ class ConicPaths:
     """Paths of m stars over an exposure as analytic trails draw them: one conic per segment.
 
     In each of s segments the vector to a star is a quadratic function of time through its values at the segment's
-    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve); a lens to another curve, which is
-    only sampled.
+    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve), a lens to another curve, which
+    is only sampled.
     """
 
     camera: Camera
@@ -291,7 +291,7 @@ def probe_rays(camera: Camera) -> NDArray[np.float64]:
 # Part of the largest angle from the axis within which probes are.
 _PROBED = 0.97
 # Directions that a lens without a limit maps are drawn up to these angles: tangents and the antipode have no position.
-_LARGEST_RAD = {True: np.deg2rad(89.5), False: np.deg2rad(176.0)}
+_LARGEST_RAD = {True: radians(89.5), False: radians(176.0)}
 # And up to where their distance from the axis is this many times that of the farthest corner.
 _FARTHEST = 4.0
 
@@ -304,7 +304,7 @@ def view_limit_rad(camera: Camera) -> float:
     """
     lens = camera.lens
     if lens is None:
-        return np.pi / 2
+        return pi / 2
     first_step = LENS_MODELS[lens.model].radius
     limit_rad = min(camera.limit_rad, _LARGEST_RAD[first_step is None])
     if first_step is None:
@@ -318,7 +318,7 @@ def view_limit_rad(camera: Camera) -> float:
 
 @lru_cache(maxsize=64)
 def view_radius_rad(camera: Camera, margin_px: float) -> float:
-    """Return the largest angle between the optical axis and a position up to a margin around the image, or more, rad."""
+    """Return the largest angle between the optical axis and a position within a margin around the image, or more, rad."""
     if camera.lens is None:
         return camera.field_radius_rad + float(np.arctan(margin_px / min(camera.fx_px, camera.fy_px)))
     margin = 8 * ceil(margin_px / 8)  # so that few cameras have to be evaluated

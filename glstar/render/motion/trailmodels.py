@@ -1,8 +1,8 @@
 """The two trail models: an exposure is summed from sub-exposures, or integrated analytically over segments.
 
 A `TrailModel` holds the camera's orientation over one exposure in the form that its renderer pass consumes, and
-computes from the same numbers where each star is drawn: truth and overlays use that.  `CameraPath` divides segments into
-pieces, each with the mean and the covariance of the motion during it.
+computes from the same numbers where each star is drawn: truth and overlays use that.  `CameraPath` divides segments
+into pieces, each with the mean and the covariance of the motion during it.
 """
 
 from collections.abc import Iterator

@@ -221,7 +221,8 @@ def trail_pieces(
 ) -> TrailPieces | None:
     """Return the pieces of the trails of an exposure; None if there are more than `most`.
 
-    `sigma_px`: standard deviation of a star as the pixels record it, px; `divided_at` (k,) intp: segments before which pieces end.
+    `sigma_px`: standard deviation of a star as the pixels record it, px; `divided_at` (k,) intp: segments before which
+    pieces end.
     """
     return _divided(CameraPath(trails, camera), sigma_px, limits, most, divided_at)
 

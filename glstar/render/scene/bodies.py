@@ -3,8 +3,7 @@
 A disc wider than a star's image is a cluster of sources, so that trails, horizon, refraction and lens apply to it.
 """
 
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,6 @@ class BodySources:
     bodies: tuple[Body, ...]
     stars: StarField  # The sources; `star_id` is the index of their body
     draw_list: DrawList  # The sources that may touch the image
-
 
 
 def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, near: NDArray[np.bool_]) -> StarField:

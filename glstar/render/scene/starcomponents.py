@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from glstar.camera.sensor.colourband import Channel, ColourBand
 from glstar.camera.sensor.pointspread import FAINTEST_COMPONENT_DN, PsfComponent
 from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
-from glstar.render.scene.culling import DrawList
 from glstar.render.scene.scene import Scene
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.photometry import USUAL_BV, brightness_ratio, magnitude_difference, star_colours
 
 _CHANNELS: tuple[Channel, ...] = ("r", "g", "b")
 _ALL = slice(None)
-# The first of `channel_scenes`.
-FIRST_CHANNEL = _CHANNELS[0]
 
 
 def colours_used(stars: StarField, index: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
@@ -28,21 +25,20 @@ def colours_used(stars: StarField, index: slice | NDArray[np.integer] = _ALL) ->
 
 # The field of a flight is uploaded once, so all its scenes share one object, which lives as long as the field of V
 # magnitudes from which it was computed.
-_IN_BANDS: WeakKeyDictionary[StarField, dict[tuple[ColourBand, Channel | None], StarField]] = WeakKeyDictionary()
+_IN_BANDS: WeakKeyDictionary[StarField, dict[ColourBand, StarField]] = WeakKeyDictionary()
 
 
-def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None) -> StarField:
+def in_band(stars: StarField, colour: ColourBand) -> StarField:
     """Return stars with their magnitudes in the band of a camera: the same object for the same arguments.
 
-    Measured magnitudes already are those of the camera's band.  With a `channel` of the mosaic, magnitudes are those in
-    its pixels, for a zero point of the mean of all pixels.
+    Measured magnitudes already are those of the camera's band.
     """
-    if colour.is_v or (channel is None and stars.measured_mag is not None and stars.is_measured is None):
+    if colour.is_v or (stars.measured_mag is not None and stars.is_measured is None):
         return stars
     fields = _IN_BANDS.setdefault(stars, {})
-    if (colour, channel) not in fields:
-        fields[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel), is_measured=None)
-    return fields[colour, channel]
+    if colour not in fields:
+        fields[colour] = replace(stars, measured_mag=_magnitudes(stars, colour, None), is_measured=None)
+    return fields[colour]
 
 
 def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -> NDArray[np.float64]:

@@ -178,7 +178,9 @@ class PiecePass:
         )
         target.lens.bind(program, scene.camera, target.guard_band_px)
 
-    def _program(self, lens: int, *, narrow: bool, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+    def _program(
+        self, lens: int, *, narrow: bool, mosaic: bool, rolling: bool
+    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
         return self._sprites.program(
             "trail_pieces.vert",
             "trail_pieces.frag",
