@@ -48,9 +48,10 @@ class SampledPaths:
         """Sum of the samples weighted by their time fractions, (2, m) px; NaN where any sample is NaN."""
         return np.stack([self.time_fraction @ coordinate for coordinate in self.xy_px])
 
-    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
+    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:  # noqa: ARG002
         """Yield positions of the stars with some indices, (k,), a block of times at a time.
 
+        `finer`: into how many parts `ConicPaths` divides those that it has.
         Yields `xy_px` (n, k, 2): positions (x, y), px, NaN behind the camera and below the horizon; and
         `time_fraction` (n,): fraction of the exposure that each sample represents.
         """
@@ -63,8 +64,7 @@ class ConicPaths:
     """Paths of m stars over an exposure as analytic trails draw them: one conic per segment.
 
     In each of s segments the vector to a star is a quadratic function of time through its values at the segment's
-    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve), a lens to another curve, which
-    is only sampled.
+    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve), a lens to another curve.
     """
 
     camera: Camera
@@ -109,12 +109,24 @@ class ConicPaths:
 
     @property
     def bounds_px(self) -> Float:
-        """`SampledPaths.bounds_px`, or slightly larger bounds; of a pinhole."""
+        """`SampledPaths.bounds_px`, or slightly larger bounds."""
         start, middle, end = self._weighted
+        if self.camera.lens is not None:
+            return self._sampled_bounds_px
         # A conic does not leave the triangle of its ends and the intersection of the tangents there.
         apex = _projected(self.camera, 2 * middle - (start + end) / 2)
         ends = self.nodes_px[:, ::2]
         return _bounds(np.minimum(ends.min(axis=1), apex.min(axis=1)), np.maximum(ends.max(axis=1), apex.max(axis=1)))
+
+    @property
+    def _sampled_bounds_px(self) -> Float:
+        """The bounds of the ends, the quarters and the middles of segments, and of how far a curve leaves them."""
+        start, middle, end = (self.nodes_px[:, k : self.nodes_px.shape[1] - 2 + k : 2] for k in range(3))
+        early, late = self._quarters_px
+        low = np.minimum(self.nodes_px.min(axis=1), np.minimum(early, late).min(axis=1))
+        high = np.maximum(self.nodes_px.max(axis=1), np.maximum(early, late).max(axis=1))
+        bend_px = np.maximum(np.abs(start - 2 * early + middle), np.abs(middle - 2 * late + end)).max(axis=1) / 4
+        return _bounds(low - bend_px, high + bend_px)
 
     @property
     def weighted_sum_px(self) -> Float:
@@ -149,6 +161,18 @@ class ConicPaths:
     def _ninetieths_px(self) -> Float:
         """Mean positions during each segment, (2, s, m) px, times 90."""
         # Boole's rule: the paths are so smooth that it is exact to float64.
+        early_px, late_px = self._quarters_px
+        ninetieths = early_px + late_px
+        ninetieths *= 32
+        ninetieths += 12 * self.nodes_px[:, 1::2]
+        at_ends = 7 * self.nodes_px[:, ::2]
+        ninetieths += at_ends[:, :-1]
+        ninetieths += at_ends[:, 1:]
+        return ninetieths
+
+    @cached_property
+    def _quarters_px(self) -> tuple[Float, Float]:
+        """Positions at a quarter and at three quarters of the time of each segment, (2, s, m) px each."""
         start, middle, end = self._weighted
         u = parameter_at(np.full(len(self.weight), 0.25), self.weight)[:, np.newaxis]
         between = 4 * u * (1 - u) * middle
@@ -156,14 +180,7 @@ class ConicPaths:
         early, late = (of_near * near + of_far * far for near, far in ((start, end), (end, start)))
         early += between
         late += between
-        ninetieths = _projected(self.camera, early)
-        ninetieths += _projected(self.camera, late)
-        ninetieths *= 32
-        ninetieths += 12 * self.nodes_px[:, 1::2]
-        at_ends = 7 * self.nodes_px[:, ::2]
-        ninetieths += at_ends[:, :-1]
-        ninetieths += at_ends[:, 1:]
-        return ninetieths
+        return _projected(self.camera, early), _projected(self.camera, late)
 
     def positions(self, segment: NDArray[np.intp], elapsed: Float) -> Float:
         """Return the positions of all stars at some times.
@@ -174,16 +191,16 @@ class ConicPaths:
         parameter = parameter_at(elapsed, self.weight[segment])
         return self.camera.project(_quadratic(self._quadratics(), segment, parameter).transpose(1, 2, 0))
 
-    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
-        """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
+    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:
+        """Yield the positions of some of the stars, as `SampledPaths.samples` does: of finer parts of segments."""
         if not stars.size:
             return
-        quadratics = self._quadratics(stars)
-        segment = np.repeat(np.arange(len(self.sample_counts)), self.sample_counts)
-        first = np.repeat(np.cumsum(self.sample_counts) - self.sample_counts, self.sample_counts)
-        elapsed = (np.arange(len(segment)) - first + 0.5) / self.sample_counts[segment]
+        quadratics, counts = self._quadratics(stars), finer * self.sample_counts
+        segment = np.repeat(np.arange(len(counts)), counts)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        elapsed = (np.arange(len(segment)) - first + 0.5) / counts[segment]
         parameter = parameter_at(elapsed, self.weight[segment])
-        time_fraction = self.time_fraction[segment] / self.sample_counts[segment]
+        time_fraction = self.time_fraction[segment] / counts[segment]
         block_size = times_per_block(len(stars))
         for start in range(0, len(segment), block_size):
             block = slice(start, start + block_size)
@@ -318,7 +335,7 @@ def view_limit_rad(camera: Camera) -> float:
 
 @lru_cache(maxsize=64)
 def view_radius_rad(camera: Camera, margin_px: float) -> float:
-    """Return the largest angle between the optical axis and a position within a margin around the image, or more, rad."""
+    """Return the largest angle from the optical axis of a position up to a margin beside the image, or more, rad."""
     if camera.lens is None:
         return camera.field_radius_rad + float(np.arctan(margin_px / min(camera.fx_px, camera.fy_px)))
     margin = 8 * ceil(margin_px / 8)  # so that few cameras have to be evaluated

@@ -158,13 +158,8 @@ class AnalyticSegments:
     def star_paths(
         self, camera: Camera, direction_eq: ArrayLike, sigma_px: float
     ) -> Iterator[starpaths.SampledPaths | starpaths.ConicPaths]:
-        """Yield conic paths, or behind a lens their samples every 1.5 sigma: see `TrailModel.star_paths`."""
-        paths = self._conic_paths(camera, direction_eq, SAMPLE_SPACING_SIGMA * sigma_px)
-        if camera.lens is None:
-            yield from paths.pieces()
-            return
-        for xy, time_fraction in paths.samples(np.arange(paths.nodes.shape[2])):
-            yield starpaths.SampledPaths(np.moveaxis(xy, -1, 0), time_fraction)
+        """Yield conic paths, sampled every 1.5 sigma: see `TrailModel.star_paths`."""
+        yield from self._conic_paths(camera, direction_eq, SAMPLE_SPACING_SIGMA * sigma_px).pieces()
 
     def _conic_paths(self, camera: Camera, direction_eq: ArrayLike, spacing_px: float) -> starpaths.ConicPaths:
         nodes = self.pointing.to_camera(direction_eq).transpose(2, 0, 1)

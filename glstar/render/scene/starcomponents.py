@@ -80,6 +80,19 @@ def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
     return np.ascontiguousarray(tints[:, [_CHANNELS.index(channel) for channel in cells]], dtype=np.float32)
 
 
+def mean_of_cells(scene: Scene, index: NDArray[np.int32]) -> NDArray[np.float64] | float:
+    """Return the flux of stars in the mean of a mosaic's cells, over that of their magnitude; 1 without a mosaic.
+
+    `index` (m,): indices into the stars of the scene.  Returns (m,): the bands of the cells add up to that of the mean
+    within a percent.
+    """
+    colour = scene.sensor.colour
+    if colour.mosaic == "none":
+        return 1.0
+    red, green, blue = _tints(scene.stars, colour)[index].T
+    return np.asarray((red + 2 * green + blue) / 4)
+
+
 def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
     """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN."""
     draw_list, sensor = scene.draw_list, scene.sensor
