@@ -12,7 +12,7 @@ from glstar.render.scene.scene import Scene
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
 # Samples of the path of a star that crosses the border of the image, for each that its length demands: it may shake.
-_FINER = 4
+_FINER = 12
 # Side of the cells in which saturated pixels are counted, px.
 _CELL_PX = 32
 
