@@ -18,7 +18,6 @@ from glstar.calibrate.sensor.photographmodel import PhotographModel
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2
 from glstar.config import Config
-from glstar.errors import CalibrationError
 from glstar.render.motion.pointing import Pointing
 from glstar.render.motion.trailmodels import SubExposures
 from glstar.render.scene.culling import DrawList
@@ -139,19 +138,17 @@ def render_twin(
 
     `config`: what the calibration wrote; `seed`: of the noise; `catalogue_brightness`: whether stars have the
     catalogue's brightness, and not each that of the photograph.  Returns (height, width) uint8 or uint16: mirrored if
-    the photograph is.  Raises CalibrationError if the simulator does not draw a camera of so wide a view.
+    the photograph is.
     """
     calibration = model.calibration
     solution, reference = calibration.matches.solution, calibration.reference
     sensor, camera = config.sensor(), config.camera()
-    if not camera.is_drawable:
-        raise CalibrationError("has no twin: the simulator does not draw a view that wide")
     exposure_s = calibration.sensor.reference_exposure_s
     recorded = None if catalogue_brightness else config.star_brightness()
     stars = in_band(reference.stars if recorded is None else recorded.applied(reference.stars), sensor.colour)
     shown = np.sort(calibration.matches.predicted).astype(np.int32)
     peak_dn = sensor.peak_dn(stars.camera_mag[shown], exposure_s)
-    radius_px = camera.max_magnification * sensor.truncation_radius_px(peak_dn)
+    radius_px = sensor.truncation_radius_px(peak_dn)
     longest_px = 0.0
     if model.moved:
         trails_px = sidereal_trails(solution, calibration.matches.predicted_xy_px, exposure_s)
