@@ -27,6 +27,8 @@ from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 from glstar.sky.place.site import Site
 
+# Sine of the altitude of the horizon that lets all stars be up.
+_NO_HORIZON = -2.0
 # Largest distance of the sub-exposures of a sidereal trail, px.
 _SPACING_PX = 0.25
 # Peaks above this multiple of the sky's noise are compared, and the widths of this number of the brightest stars.
@@ -178,8 +180,10 @@ def _pointing(reference: ReferenceStars, C_camera_eq: Float) -> Pointing:
     zenith, velocity = (
         np.repeat(one[np.newaxis], len(C_camera_eq), axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
     )
-    # Without a site there is no horizon: all stars on the image are up.
-    return Pointing(C_camera_eq, zenith if zenith.any() else C_camera_eq[:, 2], velocity, reference.refraction_scale)
+    if zenith.any():
+        return Pointing(C_camera_eq, zenith, velocity, reference.refraction_scale)
+    # Without a site there is no horizon: all stars are up, those behind the camera too.
+    return Pointing(C_camera_eq, C_camera_eq[:, 2], velocity, reference.refraction_scale, sine_horizon=_NO_HORIZON)
 
 
 def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:

@@ -109,10 +109,11 @@ def test_an_image_of_more_than_a_hemisphere_is_solved_beyond_90_deg(across_deg: 
     assert camera.lens.model == "fisheye"
     assert camera.fx_px == pytest.approx(496 / np.deg2rad(across_deg / 2), rel=2e-4)
     assert len(matches) > 900
-    assert (photo.off_px(matches) > 3).mean() < 0.005
+    off_px = np.nan_to_num(photo.off_px(matches), nan=np.inf)  # NaN: outside the image circle
+    assert (off_px > 3).mean() < 0.005
     behind = REFERENCE.stars.direction_eq[matches.star] @ photo.C_camera_eq[2] < 0
     assert behind.sum() > 150
-    assert np.median(photo.off_px(matches)[behind]) < 0.1
+    assert np.median(off_px[behind]) < 0.1
 
 
 @pytest.mark.parametrize("lens", ["none", "plumb_bob", "rational"])
