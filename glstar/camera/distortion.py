@@ -469,7 +469,7 @@ class Lens:
         r, slope = _first_step(self, np.arctan2(rho, z))
         on_axis = rho == 0
         some_rho = np.where(on_axis, 1.0, rho)
-        scale = np.where(on_axis, slope / z, r / some_rho)
+        scale = np.where(on_axis, slope / np.where(on_axis, z, 1.0), r / some_rho)
         if change is not None:
             # Along the radius and at right angles to it.
             out_x, out_y = np.where(on_axis, 1.0, x / some_rho), y / some_rho

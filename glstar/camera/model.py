@@ -225,7 +225,7 @@ class Camera:
         out_x, out_y = np.where(rho > 0, x / np.where(rho > 0, rho, 1.0), 1.0), y / np.where(rho > 0, rho, 1.0)
         outwards = np.stack([z * out_x, z * out_y, -rho], axis=-1)
         around = np.stack([-out_y, out_x, np.zeros_like(rho)], axis=-1)
-        return np.stack([self.project_with_rates(direction, way)[1] for way in (outwards, around)], axis=-1)
+        return np.stack([self.project_with_rates(direction, turn)[1] for turn in (outwards, around)], axis=-1)
 
     def _pixels(self, x: Float, y: Float) -> Float:
         """Return the pixel positions of points of the normalized image plane."""

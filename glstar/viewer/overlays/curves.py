@@ -140,7 +140,10 @@ def max_step_rad(camera: Camera, curvature: float) -> float:
 
 @lru_cache(maxsize=8)
 def _bend_px_per_rad2(camera: Camera) -> float:
-    """Return the largest curvature of great circles on the image, px per squared radian; 0 for a pinhole."""
+    """Return four times the largest second derivative of positions along great circles, px/rad^2; 0 for a pinhole.
+
+    Where a chord crosses an edge is interpolated linearly between its ends, within a quarter of `TOLERANCE_PX`.
+    """
     if camera.lens is None:
         return 0.0
     columns, rows = (np.linspace(-0.5, side - 0.5, _SAMPLES_PER_SIDE) for side in (camera.width_px, camera.height_px))
@@ -153,10 +156,8 @@ def _bend_px_per_rad2(camera: Camera) -> float:
     for angle_rad in np.arange(12) * np.pi / 12:
         step = _BEND_STEP_RAD * (np.cos(angle_rad) * right + np.sin(angle_rad) * down)
         before, at, after = (camera.project(seen + shift) for shift in (-step, 0.0, step))
-        along = (after - before) / np.linalg.norm(after - before, axis=1, keepdims=True)
-        second = after - 2 * at + before
-        bend_px = np.abs(along[:, 0] * second[:, 1] - along[:, 1] * second[:, 0])
-        largest = max(largest, float(np.nanmax(bend_px)) / _BEND_STEP_RAD**2)
+        second = np.linalg.norm(after - 2 * at + before, axis=1)
+        largest = max(largest, 4 * float(np.nanmax(second)) / _BEND_STEP_RAD**2)
     return largest
 
 
