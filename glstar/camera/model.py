@@ -10,13 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.arrays import Float
 from glstar.camera.distortion import Lens
-from glstar.errors import CalibrationError, RenderError
+from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_euler
 
 # Samples along each side of the image at which properties of a lens are evaluated.
 _SAMPLES_PER_SIDE = 65
-# Largest field angle that is drawn behind a lens: at 70 deg the undistorted plane is 2.7 focal lengths high.
-_MAX_DRAWN_RAD = np.deg2rad(70.0)
 
 # From axes forward (along the boresight), right, down to the camera's right, down, forward.
 _CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -111,16 +109,6 @@ class Camera:
         return float(right_rad - left_rad)
 
     @property
-    def is_drawable(self) -> bool:
-        """Whether the field is narrow enough to draw: behind a lens, up to 70 deg from the optical axis."""
-        return self.lens is None or self.field_radius_rad <= _MAX_DRAWN_RAD
-
-    @property
-    def max_magnification(self) -> float:
-        """Largest length of a short line anywhere on the image, over its length behind a pinhole; at least 1."""
-        return 1.0 if self.lens is None else _max_magnification(self)
-
-    @property
     def max_px_per_rad(self) -> float:
         """Upper bound of the image scale anywhere on the image, px/rad."""
         if self.lens is None:
@@ -133,22 +121,6 @@ class Camera:
         if self.lens is None:
             return min(self.fx_px, self.fy_px)
         return _lens_scales_px_per_rad(self)[0]
-
-    def require_drawable(self) -> None:
-        """Reject a lens whose field is too wide to be drawn on a plane.
-
-        Raises
-        ------
-        RenderError
-            If a point of the image is more than 70 deg from the optical axis.
-        """
-        if not self.is_drawable:
-            assert self.lens is not None
-            raise RenderError(
-                f"the camera's {self.lens.model} lens sees {np.rad2deg(self.field_radius_rad):.1f} deg off its axis and"
-                f" glstar draws up to {np.rad2deg(_MAX_DRAWN_RAD):.0f}, because it draws an undistorted image first;"
-                " give the camera of a smaller part of the image (width_px, height_px, cx_px, cy_px)"
-            )
 
     def project(self, direction_camera: ArrayLike) -> Float:
         """Return the pixel positions of directions.
@@ -345,17 +317,6 @@ def _lens_scales_px_per_rad(camera: Camera) -> tuple[float, float]:
     """Return the smallest and the largest image scale behind a lens, over the image and in all directions, px/rad."""
     scales = np.linalg.svd(camera.px_per_rad(_directions(camera)), compute_uv=False)
     return float(scales.min()), float(scales.max())
-
-
-@lru_cache(maxsize=64)
-def _max_magnification(camera: Camera) -> float:
-    """Return the largest length of a short line over its length behind a pinhole, over the image; at least 1."""
-    assert camera.lens is not None
-    seen = _directions(camera)
-    rays = seen[seen[:, 2] > 1e-3]
-    rays = rays / rays[:, 2:]
-    by_x, by_y = (camera.lens.project_with_rates(rays, side)[1] for side in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
-    return float(np.linalg.norm(np.stack([by_x, by_y], axis=-1), ord=2, axis=(1, 2)).max(initial=1.0))
 
 
 def _directions(camera: Camera) -> Float:

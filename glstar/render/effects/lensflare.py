@@ -65,7 +65,8 @@ def _flare_dn(scene: Scene, xy_px: Float, rays: Float) -> Float:
         entering_dn = source.flux_dn * cosine
         if entering_dn < _FAINTEST_DN * camera.width_px * camera.height_px:
             continue
-        flare += entering_dn * float(values["scatter"]) * _scattered(values, np.nan_to_num(rays @ source.direction)) * pixel_sr
+        scattered = _scattered(values, np.nan_to_num(rays @ source.direction))
+        flare += entering_dn * float(values["scatter"]) * scattered * pixel_sr
         flare += entering_dn * _ghosts(values, camera, source.direction, xy_px)
         flare += entering_dn * _streak(values, camera, source.direction, xy_px)
     return flare
