@@ -18,6 +18,7 @@ LENS = camera(400, 300, 500.0)
 def random_paths(segments, spacing_px=COARSE_PX, seed=0):
     random = np.random.default_rng(seed)
     nodes = LENS.unit_vectors(random.uniform(-50, 400, (2 * segments + 1, STARS, 2)))
+    nodes /= nodes[..., 2:]
     nodes *= 1.0 + 0.02 * np.arange(2 * segments + 1)[:, np.newaxis, np.newaxis]
     time_fraction, weight = random.dirichlet(np.ones(segments)), random.uniform(1.0, 1.005, segments)
     return ConicPaths(LENS, np.moveaxis(nodes, -1, 0), weight, time_fraction, spacing_px)
