@@ -146,6 +146,31 @@ def test_a_trail_is_a_gaussian_moved_on_the_sensor(renderer, part, sigma_px, deg
     assert flux <= 2e-3
 
 
+@pytest.mark.parametrize(("sigma_px", "deg_per_s"), [(0.5, 10.0), (1.2, 60.0), (3.0, 30.0)])
+@pytest.mark.parametrize("part", PARTS.values(), ids=PARTS)
+def test_truth_knows_the_brightest_point_and_the_noise_of_a_trail_behind_a_lens(renderer, part, sigma_px, deg_per_s):
+    sensor = Sensor(reference_peak_dn=1e5, psf_sigma_px=sigma_px, bit_depth=16)
+    exposure = Exposure(NIGHT_UTC_S + 0.4, 4 / deg_per_s, trail="analytic")
+    rates = {"roll_rate_rad_per_s": np.deg2rad(0.8 * deg_per_s), "yaw_rate_rad_per_s": np.deg2rad(0.6 * deg_per_s)}
+    still = looking_up(part, sensor=sensor, refraction=False, **rates)
+    simulator = with_stars_at(still, [[part.width_px / 2, part.height_px / 2]], [0.0], exposure.mid_utc_s)
+    scene = simulator.scene(exposure)
+    frame = renderer.render(scene, seed=0, light=True)
+    (star,) = orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
+    assert star["in_frame"] == 1.0
+    # The signal at 500 points of the path, of 4000 positions.
+    path_px = star_positions(simulator, 0, exposure.start_utc_s + (np.arange(4000) + 0.5) / 4000 * exposure.duration_s)
+    off_px2 = ((path_px[::8, np.newaxis] - path_px) ** 2).sum(axis=-1)
+    width_px2 = sensor.effective_sigma_px**2
+    brightest = (np.exp(-off_px2 / (2 * width_px2)).mean(axis=1) / (2 * np.pi * width_px2)).max()
+    assert star["trail_peak_dn"] == pytest.approx(star["flux_dn"] * brightest, rel=0.02)
+    light_dn = frame.light_dn.astype(np.float64)
+    noise_dn = np.hypot(sensor.sky_std_dn, 12**-0.5)
+    # Of a star narrower than a pixel it depends on where between the pixels the trail lies.
+    within = 0.02 if sigma_px > 0.6 else 0.03
+    assert star["snr"] == pytest.approx(np.sqrt((light_dn**2).sum()) / noise_dn, rel=within)
+
+
 @pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
 @pytest.mark.parametrize("name", ["barrel", "beyond"])
 def test_a_rolling_shutter_behind_a_lens_opens_rows_of_the_sensor(renderer, name, readout):
