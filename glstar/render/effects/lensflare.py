@@ -77,7 +77,7 @@ def _projected_solid_angles_sr(camera: Camera, rays: Float) -> Float:
     if camera.lens is None:
         return np.asarray(rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px))
     px2_per_sr = np.abs(np.linalg.det(camera.px_per_rad(rays)))
-    return np.nan_to_num(np.maximum(rays[..., 2], 0.0) / np.maximum(px2_per_sr, 1.0))
+    return np.asarray(np.nan_to_num(np.maximum(rays[..., 2], 0.0) / np.maximum(px2_per_sr, 1.0)))
 
 
 def _sources(values: Values, scene: Scene) -> list[_Source]:
