@@ -16,7 +16,7 @@ from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.pointing import Pointing
-from glstar.render.motion.starpaths import view_radius_rad
+from glstar.render.motion.starpaths import view_limit_rad, view_radius_rad
 from glstar.sky.air.extinction import air_mass
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.catalogue.starfield import SkyCells, StarField
@@ -110,7 +110,7 @@ class StarCuller:
             observed_mag = observed_mag + extinction_mag
         peak_dn = self.sensor.peak_dn(observed_mag, duration_s)
         margin_px = self.sensor.truncation_radius_px(peak_dn) + 1
-        touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px)
+        touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px, step_rad)
         # The step at the image's farthest corner: pixel positions of a star that leaves the image within a step grow
         # without bound, and that step does not count.
         longest_step_px = min(longest_step_px, step_rad * self.camera.max_px_per_rad)
@@ -119,7 +119,12 @@ class StarCuller:
         return TouchingStars(self, index, peak_dn[touches], slowest_px[touches], longest_step_px, extinction_mag)
 
     def _steps(
-        self, pointing: Pointing, time_fraction: Float, candidates: NDArray[np.intp], margin_px: Float
+        self,
+        pointing: Pointing,
+        time_fraction: Float,
+        candidates: NDArray[np.intp],
+        margin_px: Float,
+        step_rad: float,
     ) -> tuple[NDArray[np.bool_], Float, float]:
         """Return which candidates touch the image, the trail length at their slowest rate, px, and the longest step."""
         directions = self.stars.direction_eq.take(candidates, axis=0)  # five times as fast as an index
@@ -152,8 +157,18 @@ class StarCuller:
             grazing_px = margin_px[far] + np.minimum(step_px.take(far, axis=1), diagonal_px) / 2
             beyond_px = beyond_px.take(far, axis=1)
             touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)
+            touches |= self._passes_limit(in_camera, xy, step_rad)
         slowest_px[np.isinf(slowest_px)] = 0.0  # visible at a single time
         return touches, slowest_px, longest_step_px
+
+    def _passes_limit(self, in_camera: Float, xy: Float, step_rad: float) -> NDArray[np.bool_] | bool:
+        """Return which stars may come into view between two times where the lens ends on the image, (k,): a bound."""
+        camera = self.camera
+        if camera.lens is None or camera.field_radius_rad < view_limit_rad(camera):
+            return False
+        cosine = in_camera[..., 2] / np.linalg.norm(in_camera, axis=-1)
+        near = cosine > cos(min(view_limit_rad(camera) + step_rad, np.pi))
+        return np.asarray((near & np.isnan(xy[..., 0])).any(axis=0))
 
     def _within_cone(self, pointing: Pointing) -> NDArray[np.intp]:
         """Return the stars in the cone that the field of view sweeps: a bound that is cheap for a million stars."""
