@@ -179,6 +179,13 @@ def test_a_rolling_shutter_behind_a_lens_opens_rows_of_the_sensor(renderer, name
     assert max(worst_of_a_trail(renderer, PARTS[name], sensor, exposure, roll=40.0, yaw=30.0)) <= 4e-3
 
 
+@pytest.mark.parametrize("name", ["barrel", "fisheye"])
+def test_a_stack_behind_a_lens_is_that_of_its_short_exposures(renderer, name):
+    sensor = Sensor(reference_peak_dn=1e4, psf_sigma_px=1.2, bit_depth=12)
+    exposure = Exposure(NIGHT_UTC_S + 0.4, 0.1, trail="analytic", frames=3, gap_s=0.02)
+    assert max(worst_of_a_trail(renderer, PARTS[name], sensor, exposure, roll=20.0, yaw=15.0)) <= 4e-3
+
+
 @pytest.mark.parametrize("readout_s", [0.0, 0.03])
 def test_sprites_behind_a_lens_are_gaussians_on_the_sensor(renderer, readout_s):
     sensor = Sensor(reference_peak_dn=1e5, psf_sigma_px=1.2, bit_depth=16)
