@@ -89,7 +89,7 @@ def test_a_star_is_as_wide_on_the_sensor_wherever_it_is(renderer, lens, sigma_px
 
 
 def part_of(f_px: float, lens: Lens, off_axis_deg: float, size_px: tuple[int, int] = (160, 120)) -> Camera:
-    """Return the camera of a small part of an image, so far from the axis that a corner of it is at an angle."""
+    """Return the camera of a small part of an image whose corner is at an angle from the axis."""
     middle_px = Camera(*size_px, f_px, f_px, 0.0, 0.0, 0.0, lens).project(
         [
             0.8 * np.sin(np.deg2rad(off_axis_deg)),
