@@ -23,7 +23,7 @@ or 14 mean rational; with a number xi it is omni, as OpenCV's omnidir writes it.
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from os import PathLike
 from xml.etree import ElementTree as ET
@@ -42,6 +42,7 @@ from glstar.camera.camerakeys import (
     label,
     model_of,
     normalized,
+    read_number,
 )
 from glstar.camera.distortion import COEFFICIENTS, LensModel
 from glstar.camera.model import Camera
@@ -191,7 +192,11 @@ def _camera_of_document(keys: Keys, name: str | None) -> tuple[Camera, tuple[str
             f"has no camera matrix under any name that glstar knows; it reads {DIALECTS}, and here"
             f" {_key_of_another_file(keys)}"
         )
-    return camera_of(entries)
+    camera, notes = camera_of(entries)
+    if "maxangledeg" in entries and camera.lens is not None:
+        key, value = entries["maxangledeg"][0]
+        camera = replace(camera, lens=replace(camera.lens, max_angle_rad=float(np.deg2rad(read_number(key, value)))))
+    return camera, notes
 
 
 def _key_of_another_file(keys: Keys) -> str:
@@ -388,6 +393,7 @@ def camera_to_yaml(camera: Camera, *comments: str) -> str:
         *_yaml_matrix("camera_matrix", K),
         f"distortion_model: {_ROS_NAMES.get(model, model)}",
         *mirror,
+        *([] if lens is None or "max_angle_deg" not in lens.keys else [f"max_angle_deg: {lens.keys['max_angle_deg']}"]),
         *_yaml_matrix("distortion_coefficients", np.array([coefficients])),
         *_yaml_matrix("rectification_matrix", np.eye(3)),
         *_yaml_matrix("projection_matrix", projection),

@@ -35,7 +35,7 @@ functions and add a line to `LENS_MODELS`.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isfinite
 from typing import Literal
@@ -303,6 +303,8 @@ class Lens:
         are Kalibr's ds, eucm and omni with radtan.
     coefficients : tuple of float
         In the order of OpenCV or Kalibr; those that are left out are zero.  xi, alpha and beta cannot be left out.
+    max_angle_rad : float
+        Largest angle from the optical axis that reaches the sensor, rad: where the image circle ends.
 
     Raises
     ------
@@ -313,6 +315,7 @@ class Lens:
 
     model: LensModel
     coefficients: tuple[float, ...]
+    max_angle_rad: float = np.pi
 
     def __post_init__(self) -> None:
         if self.model not in LENS_MODELS:
@@ -333,6 +336,10 @@ class Lens:
             least, most, words = formulas.bounds.get(name, (-np.inf, np.inf, ""))
             if not least <= number <= most:
                 raise CalibrationError(f"the lens has {name} = {number:g}; {name} of {self.model} is {words}")
+        if not 0 < self.max_angle_rad <= np.pi:
+            raise CalibrationError(
+                f"the image circle ends {np.rad2deg(self.max_angle_rad):g} deg off the axis; it is up to 180 deg"
+            )
 
     @property
     def limit_rad(self) -> float:
@@ -346,9 +353,14 @@ class Lens:
         return padded(() if part is None else self.coefficients[part])
 
     @property
-    def keys(self) -> dict[str, str | list[float]]:
-        """The keys ``lens`` and ``distortion`` of ``[camera]`` and of the truth."""
-        return {"lens": self.model, "distortion": list(self.coefficients)}
+    def keys(self) -> dict[str, str | list[float] | float]:
+        """The keys ``lens``, ``distortion`` and ``max_angle_deg`` of ``[camera]`` and of the truth."""
+        circle = {"max_angle_deg": round(float(np.rad2deg(self.max_angle_rad)), 9)}
+        return {
+            "lens": self.model,
+            "distortion": list(self.coefficients),
+            **(circle if self.max_angle_rad < np.pi else {}),
+        }
 
     def radius(self, angle_rad: ArrayLike) -> Float:
         """Return the distances from the axis, in focal lengths, without tangential distortion and tilt.
@@ -523,7 +535,7 @@ class Lens:
         # A coefficient that was left out need not be zero after the rotation.
         count = next(count for count in _COUNTS_WITH_WHOLE_PAIRS if count >= len(self.coefficients[part]))
         first = self.coefficients[: len(self.coefficients) - len(self.coefficients[part])]
-        return Lens(self.model, (*first, *(float(number) for number in rotated[:count])))
+        return replace(self, coefficients=(*first, *(float(number) for number in rotated[:count])))
 
     def __str__(self) -> str:
         names = LENS_MODELS[self.model].coefficients
@@ -550,10 +562,10 @@ def _first_step(lens: Lens, angle_rad: Float) -> tuple[Float, Float]:
 def _limit_rad(lens: Lens) -> float:
     limit_rad, largest_r = LENS_MODELS[lens.model].limit_rad(lens.coefficients), _brown_limit(lens.brown)
     if LENS_MODELS[lens.model].radius is None:
-        return float(np.arctan(largest_r))
-    if np.isfinite(largest_r):
+        limit_rad = np.arctan(largest_r)
+    elif np.isfinite(largest_r):
         limit_rad = np.fmin(limit_rad, _angle(lens, np.array([largest_r]))[0])
-    return float(limit_rad)
+    return float(min(limit_rad, lens.max_angle_rad))
 
 
 @lru_cache(maxsize=64)

@@ -92,7 +92,8 @@ def test_an_all_sky_image_gets_a_fisheye_and_no_pinhole() -> None:
     assert len(matches) > 800
     assert np.median(np.linalg.norm(matches.residual_px, axis=1)) < 0.36  # px
     assert (photo.off_px(matches) > 3).mean() < 0.005
-    assert np.rad2deg(camera.horizontal_field_rad) == pytest.approx(1000 / 496 * 90, abs=0.1)  # with the dark corners
+    assert np.rad2deg(camera.limit_rad) == pytest.approx(90, abs=0.5)  # where stars end
+    assert np.rad2deg(camera.horizontal_field_rad) == pytest.approx(180, abs=1)
 
 
 @pytest.mark.parametrize(("across_deg", "fov_deg"), [(200.0, 185.0), (220.0, 230.0)])
@@ -108,6 +109,7 @@ def test_an_image_of_more_than_a_hemisphere_is_solved_beyond_90_deg(across_deg: 
     assert camera.lens is not None
     assert camera.lens.model == "fisheye"
     assert camera.fx_px == pytest.approx(496 / np.deg2rad(across_deg / 2), rel=2e-4)
+    assert np.rad2deg(camera.limit_rad) == pytest.approx(across_deg / 2, abs=0.5)  # where stars end
     assert len(matches) > 900
     off_px = np.nan_to_num(photo.off_px(matches), nan=np.inf)  # NaN: outside the image circle
     assert (off_px > 3).mean() < 0.005

@@ -283,6 +283,7 @@ def test_the_fisheye_key_of_an_opencv_file_is_read(tmp_path: Path) -> None:
         Lens("omni", (1.25, -0.1, 0.02, 1e-3, -2e-3)),
         Lens("double_sphere", (-0.172, 0.593)),
         Lens("eucm", (0.58, 1.08)),
+        Lens("fisheye", (-0.02, 0.003, 0.0, 0.0), float(np.deg2rad(95.0))),
     ],
     ids=str,
 )

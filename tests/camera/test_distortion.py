@@ -1,5 +1,7 @@
 """Lenses there and back, against OpenCV."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -95,6 +97,19 @@ def test_a_fisheye_ends_where_its_polynomial_turns_beyond_90_deg() -> None:
     np.testing.assert_array_equal(np.isfinite(camera.project(at)).all(axis=1), [True, False, False, False])
     assert np.isnan(camera.project([0.0, 0.0, 0.0])).all()
     assert np.isnan(camera.unit_vectors([511.25 + 967.7425 * 1.34, 370.75])).all()  # the farthest is 4/3
+
+
+@pytest.mark.parametrize("lens", [*LENSES, *BEYOND_90], ids=str)
+def test_a_lens_ends_at_the_stated_end_of_its_image_circle(lens: Lens) -> None:
+    camera = camera_with(replace(lens, max_angle_rad=0.5))
+    at = [[np.sin(theta), 0.0, np.cos(theta)] for theta in (0.49, 0.51)]
+
+    assert camera.limit_rad == 0.5
+    np.testing.assert_array_equal(np.isfinite(camera.project(at)).all(axis=1), [True, False])
+    beyond_px = camera_with(lens).project(at)[1]
+    assert np.isnan(camera.unit_vectors(beyond_px)).all()
+    assert camera.field_radius_rad == 0.5
+    assert replace(lens, max_angle_rad=0.5).rotated_by_quarter().max_angle_rad == 0.5
 
 
 @pytest.mark.parametrize("lens", [None, *LENSES, *BEYOND_90], ids=str)

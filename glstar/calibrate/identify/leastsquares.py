@@ -97,14 +97,16 @@ class IdentifiedStars:
     def corner_fraction(self, camera: Camera) -> float:
         """Return the distance of the outermost star from the principal point over that of the farthest corner.
 
-        For a fisheye, over the radius of its image circle if that is smaller: beyond it there are no stars.
+        For a fisheye, over the radius at 90 deg or of its image circle, if that is smaller: there stars may end.
         """
         centre = np.array([camera.cx_px, camera.cy_px])
         corners = [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
         farthest = np.linalg.norm(np.array(corners) - centre, axis=1).max()
+        outermost = np.linalg.norm(self.xy_px - centre, axis=1).max()
         if camera.lens is not None and camera.lens.model == "fisheye":
-            farthest = np.fmin(farthest, camera.fx_px * camera.lens.radius(0.999999 * camera.lens.limit_rad))
-        return float(np.linalg.norm(self.xy_px - centre, axis=1).max() / farthest)
+            circle_px = camera.fx_px * camera.lens.radius(0.999999 * min(camera.lens.limit_rad, np.pi / 2))
+            farthest = np.fmin(farthest, max(circle_px, outermost))
+        return float(outermost / farthest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +154,7 @@ class FreeParameters:
         if lens is not None:
             values = np.array(lens.coefficients)
             values[list(self.coefficients)] += step[self.lens_column :]
-            lens = Lens(lens.model, tuple(values.tolist()))
+            lens = replace(lens, coefficients=tuple(values.tolist()))
         right, down = step[f + 1 : f + 3] * camera.width_px if self.principal_point else (0.0, 0.0)
         factor = float(np.exp(np.clip(step[f], -1.0, 1.0)))
         camera = replace(
@@ -316,7 +318,7 @@ def _lens_like(similar: Lens | None, model: LensModel, free: tuple[int, ...], an
         radial = [k for k in free if k in {0, 1, 4}]
     valid = np.isfinite(values)
     coefficients[radial] = np.linalg.lstsq(terms[valid][:, radial], values[valid], rcond=None)[0]
-    return Lens(model, tuple(coefficients.tolist()))
+    return Lens(model, tuple(coefficients.tolist()), np.pi if similar is None else similar.max_angle_rad)
 
 
 def _coefficient_jacobian(lens: Lens, direction: Float) -> Float:
