@@ -193,10 +193,16 @@ def test_sprites_behind_a_lens_are_gaussians_on_the_sensor(renderer, readout_s):
     assert max(worst_of_a_trail(renderer, PARTS["beyond"], sensor, exposure, roll=20.0, yaw=15.0)) <= 4e-3
 
 
+CIRCLES = {
+    "turning back": Camera(160, 120, 300.0, 300.0, -170.0, 60.0, 0.0, Lens("fisheye", (-0.2,))),
+    "cut off": Camera(160, 120, 300.0, 300.0, -228.0, 60.0, 0.0, Lens("fisheye", (), np.deg2rad(60.0))),
+}
+
+
 @pytest.mark.parametrize("deg_per_s", [5.0, 60.0])
-def test_a_trail_ends_where_the_lens_ends_on_the_image(renderer, deg_per_s):
+@pytest.mark.parametrize("circle", CIRCLES.values(), ids=CIRCLES)
+def test_a_trail_ends_where_the_lens_ends_on_the_image(renderer, circle, deg_per_s):
     """Segments with one end beyond the limit must not be dropped."""
-    circle = Camera(160, 120, 300.0, 300.0, -170.0, 60.0, 0.0, Lens("fisheye", (-0.2,)))
     assert np.isnan(circle.unit_vectors([[159.0, 60.0]])).all()
     sensor = Sensor(reference_peak_dn=1e5, psf_sigma_px=1.2, bit_depth=16)
     rates = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s) for axis in ("roll", "pitch")}

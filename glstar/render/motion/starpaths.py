@@ -333,17 +333,21 @@ def view_limit_rad(camera: Camera) -> float:
     return float(angle_rad[far.argmax()]) if far.any() else limit_rad
 
 
-@lru_cache(maxsize=64)
 def view_radius_rad(camera: Camera, margin_px: float) -> float:
     """Return the largest angle from the optical axis of a position up to a margin beside the image, or more, rad."""
     if camera.lens is None:
         return camera.field_radius_rad + float(np.arctan(margin_px / min(camera.fx_px, camera.fy_px)))
-    margin = 8 * ceil(margin_px / 8)  # so that few cameras have to be evaluated
+    return _lens_view_radius_rad(camera, 8 * ceil(margin_px / 8))
+
+
+@lru_cache(maxsize=64)
+def _lens_view_radius_rad(camera: Camera, margin_px: int) -> float:
+    """Return `view_radius_rad` behind a lens."""
     wider = replace(
         camera,
-        width_px=camera.width_px + 2 * margin,
-        height_px=camera.height_px + 2 * margin,
-        cx_px=camera.cx_px + margin,
-        cy_px=camera.cy_px + margin,
+        width_px=camera.width_px + 2 * margin_px,
+        height_px=camera.height_px + 2 * margin_px,
+        cx_px=camera.cx_px + margin_px,
+        cy_px=camera.cy_px + margin_px,
     )
     return wider.field_radius_rad
