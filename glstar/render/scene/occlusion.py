@@ -17,6 +17,7 @@ from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.starpaths import view_limit_rad
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.transmission import Sources
+from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 
 # Between the times at which the height of stars above the horizon is computed, they move by this at most, px.
@@ -143,15 +144,18 @@ def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64], ca
     pointing = trails.pointing
     moved = np.linalg.norm(pointing.zenith_eq - pointing.zenith_eq[0], axis=1).max()
     height = pointing[:1].heights(direction_eq)[0]
-    times = _without_crossing(height >= 0)
-    near = np.flatnonzero(np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING)
-    limit = None if camera.lens is None else _above_limit(pointing, direction_eq, camera)
-    if limit is not None:
-        near = np.flatnonzero((np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING) | (limit < 0).any(axis=0))
+    is_up, may_cross = height >= 0, np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING
+    if camera.lens is not None:
+        limit_rad, boresight = view_limit_rad(camera), pointing.boresight_eq
+        swing_rad = np.arccos(np.clip((boresight @ boresight[0]).min(), -1, 1)) + MAX_REFRACTION_RAD
+        angle_rad = np.arccos(np.clip(direction_eq @ boresight[0], -1, 1))
+        is_up &= angle_rad < limit_rad
+        may_cross |= np.abs(angle_rad - limit_rad) <= swing_rad
+    times, near = _without_crossing(is_up), np.flatnonzero(may_cross)
     if near.size:
         heights = pointing.heights(direction_eq[near])
-        if limit is not None:
-            heights = np.minimum(heights, limit[:, near])
+        if camera.lens is not None:
+            heights = np.minimum(heights, _above_limit(pointing, direction_eq[near], camera))
         times[near] = _crossings(heights, trails.time_fraction)
     return times
 
