@@ -20,18 +20,12 @@ flat out vec4 path_px;
 flat out vec2 ahead_px;
 flat out float amplitude_dn;
 flat out vec2 clock;
-#if ROWS == 2
-flat out vec2 opening_from_path;
-#endif
 
 #include "projection.glsl"
 #include "rasterization.glsl"
 #include "target.glsl"
 #include "two_gaussians.glsl"
 #include "drawn_fraction.glsl"
-#if ROWS == 2
-#include "readout.glsl"
-#endif
 
 #if MOSAIC
 uniform sampler2D tints_of_stars; // by column
@@ -54,15 +48,12 @@ void main() {
     bool is_seen = true;
     for (int k = 0; k < 3; ++k) {
         vec3 in_camera = observed(star.xyz, 3 * piece + k).in_camera;
-        is_seen = is_seen && in_camera.z > 1e-9;
-        at_px[k] = target_position_px(in_camera.xy / (in_camera.z > 1e-9 ? in_camera.z : 1.0));
+        is_seen = is_seen && is_in_view(in_camera);
+        at_px[k] = vector_position_px(in_camera);
     }
     vec2 chord = at_px[2] - at_px[0];
     ahead_px = at_px[1] - 0.5 * (at_px[0] + at_px[2]);
     path_px = vec4(at_px[0] + 0.5, chord);
-#if ROWS == 2
-    opening_from_path = opening_per_px_from_star(at_px[0] + 0.5 * chord + 0.5);
-#endif
     float margin_px = choice.y + SNAPPING_PX;
     amplitude_dn = vmag_0_peak_dn * star.w * choice.z * duration * transmission / fraction_of_two_gaussians(margin_px, chord);
     vec2 low_px = min(min(at_px[0], at_px[2]), at_px[1]), high_px = max(max(at_px[0], at_px[2]), at_px[1]);

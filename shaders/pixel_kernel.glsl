@@ -1,4 +1,4 @@
-// Integration of flux over the area of a pixel, for trail.frag, trail_middle.frag and trail_short.frag.
+// Integration of flux over the area of a pixel, for trail.frag, trail_middle.frag, trail_short.frag and trail_pieces.frag.
 //
 // NARROW: 1 for pixels that integrate over their area under a point spread function narrower than 1.1 px.  Then three
 // Gaussians per side have the moments of a square pixel up to the sixth order, whatever the direction of the trail; their

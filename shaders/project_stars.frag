@@ -1,10 +1,11 @@
 #version 330 core
 
-// Projection pass: pixel positions of stars at the ends and the middles of the segments of their trails.
+// Projection pass: stars in the camera frame at the ends and the middles of the segments of their trails.
 //
-// A column is a star, a row a time.  A texel is the star's position (x, y) in the target, px, 0, and its depth
-// (approximately a cosine of the angle to the boresight), 0 if it is behind the camera.  The row after the last time holds
-// the star's brightness, its truncation radius, and when it rises and sets.
+// A column is a star, a row a time.  Behind a pinhole a texel is the star's position (x, y) in the target, px, 0, and its
+// depth (approximately a cosine of the angle to the boresight), 0 if it is behind the camera.  Behind a lens it is the
+// star's vector in the camera frame, and 1.  The row after the last time holds the star's brightness, its truncation
+// radius, and when it rises and sets.
 
 // STARS_PER_ROW: columns of the texture of stars.
 
@@ -25,8 +26,10 @@ void main() {
 
     vec2 rises_and_sets = texelFetch(chosen, ivec2(texel.x, 1), 0).rg;
     Observed seen = observed(star.xyz, min(texel.y, last_time));
-    bool in_front = seen.in_camera.z > 1e-9;
-    vec2 xy_px = target_position_px(seen.in_camera.xy / (in_front ? seen.in_camera.z : 1.0));
-    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, rises_and_sets)
-                                    : vec4(xy_px, 0.0, in_front ? seen.in_camera.z : 0.0);
+#if LENS
+    vec4 at_time = vec4(seen.in_camera, 1.0);
+#else
+    vec4 at_time = vec4(vector_position_px(seen.in_camera), 0.0, is_in_view(seen.in_camera) ? seen.in_camera.z : 0.0);
+#endif
+    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, rises_and_sets) : at_time;
 }

@@ -1,17 +1,13 @@
-// Projection of stars: from apparent directions to pixels of a pinhole camera, Teague & Chahl eqs. (22)-(35) without
+// Projection of stars: from apparent directions to vectors in the camera frame, Teague & Chahl eqs. (22)-(32) without
 // trigonometric functions: the built-in asin is 80" wrong on software OpenGL, and the celestial pole and the zenith are
-// positions like any other.  The same as Pointing.to_camera and Camera.project in float64.
+// positions like any other.  The same as Pointing.to_camera in float64.
 
 #include "refraction.glsl"
+#include "lens.glsl"
 
 // A row is a time, of five texels (pointingtexture.py): the three rows of C_camera_eq (right, down, boresight), the unit
 // vector to the zenith, and the observer's velocity due to the Earth's rotation in units of the speed of light.
 uniform sampler2D pointing;
-
-uniform vec2  focal_px;           // fx, fy
-uniform vec2  principal_px;       // cx, cy
-uniform float skew_px;
-uniform float guard_band_px;      // width of the border of the target around the image
 
 struct Observed {
     vec3  in_camera;              // right, down, along the boresight
@@ -33,9 +29,4 @@ Observed observed(vec3 direction_eq, int row) {
     direction += refraction * zenith_eq;
     vec3 in_camera = vec3(dot(right_eq, direction), dot(down_eq, direction), dot(boresight_eq, direction));
     return Observed(in_camera, sine_altitude, sine_altitude + refraction - sine_horizon);
-}
-
-// Position in the target, px, of a vector (x / z, y / z) in the camera frame.
-vec2 target_position_px(vec2 tangent) {
-    return focal_px * tangent + principal_px + vec2(skew_px * tangent.y, 0.0) + guard_band_px;
 }

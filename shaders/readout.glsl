@@ -4,38 +4,14 @@
 // open when its own row is, wherever the star is whose light it gathers, so that limits of integrals are functions of the
 // pixel's row only, and exact for the wings of the point spread function too.
 //
-// ROWS: 1, the opening time is a linear function of the position; 2, behind a lens it is that of the distorted row, in a
-// texture.
+// ROWS: 1 under a rolling shutter.
 
-#if ROWS == 2
-uniform sampler2D openings;       // opening times at every OPENINGS_STEP_PX-th pixel of the target
-uniform float texel_per_px;       // texture coordinates per pixel, x and y
-uniform vec2  openings_size;
-uniform float resampling;         // variance that the resampling behind a lens adds, relative to that of what is drawn here
-#else
 uniform vec3  opening;            // opening time of a position: coefficients of x, y (coordinates of gl_FragCoord) and 1
-#endif
 uniform float open_time;          // for which each row is open
 
 float opening_at(vec2 position_px) {
-#if ROWS == 2
-    return texture(openings, (position_px * texel_per_px + 0.5) / openings_size).r;
-#else
     return dot(opening, vec3(position_px, 1.0));
-#endif
 }
-
-#if ROWS == 2
-// Resampling widens what is drawn here: light that is drawn at x, of a star at p, arrives on average at the pixel of the
-// image at x + resampling (x - p), and the row of that pixel is the one that must be open.  The product of this function's
-// result with x - p is the difference of the opening times.
-vec2 opening_per_px_from_star(vec2 position_px) {
-    const vec2 STEP = vec2(1.0, 0.0);
-    vec4 around = vec4(opening_at(position_px + STEP.xy), opening_at(position_px - STEP.xy),
-                       opening_at(position_px + STEP.yx), opening_at(position_px - STEP.yx));
-    return 0.5 * resampling * vec2(around.x - around.y, around.z - around.w);
-}
-#endif
 
 // Elapsed fractions of a segment at which the row of a pixel opens and closes.  clock: start of the segment, and 1 / its
 // duration.

@@ -37,10 +37,6 @@ flat out float peak_dn;           // of the Gaussian of one sub-exposure
 flat out vec2 step_px;            // motion from one sub-exposure to the next
 flat out float first_number;      // number of the first of the four
 uniform int first_instance;
-#if ROWS == 2
-flat out vec2 opening_from_star;  // change of the opening time per px of distance from the star
-#include "readout.glsl"
-#endif
 #endif
 
 const float FAR_PX = 1e6;         // so distant that no flux arrives
@@ -50,10 +46,10 @@ const vec2  NOWHERE_PX = vec2(FAR_PX);
 vec2 centre_px(int row) {
     Observed seen = observed(direction_eq, row);
     bool below_horizon = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE + sine_horizon || seen.height < 0.0;
-    if (below_horizon || seen.in_camera.z <= 1e-9) {
+    if (below_horizon || !is_in_view(seen.in_camera)) {
         return NOWHERE_PX;
     }
-    return target_position_px(seen.in_camera.xy / seen.in_camera.z);
+    return vector_position_px(seen.in_camera);
 }
 
 void main() {
@@ -87,9 +83,6 @@ void main() {
     vec2 extent_px = high_px - low_px;
     vec2 middle_px = (high_px + low_px) / 2.0;
     bool hidden = extent_px.x < 0.0;
-#if ROWS == 2
-    opening_from_star = opening_per_px_from_star(hidden ? vec2(0.0) : middle_px + 0.5);
-#endif
     gl_PointSize = hidden ? 1.0 : 2.0 * (truncation_radius_px + SNAPPING_PX) + max(extent_px.x, extent_px.y);
     gl_Position = hidden ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(2.0 * (middle_px + 0.5) / target_px - 1.0, 0.0, 1.0);
 }

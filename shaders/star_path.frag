@@ -4,8 +4,8 @@
 // the exposure.
 //
 // Within a segment the vector to a star is a quadratic function of time through its values at the start, the middle and the
-// end, and its position the projection of that by a pinhole (glstar/render/motion/segmentation.py divides the exposure so that
-// this holds).  A segment is drawn as one of four kinds (trail_constants.glsl):
+// end, and its position the projection of that (glstar/render/motion/segmentation.py divides the exposure so that this
+// holds): on the sensor, also behind a lens.  A segment is drawn as one of four kinds (trail_constants.glsl):
 //
 // NOTHING  it is behind the camera or below the horizon
 // SHORT    two Gaussians (trail_short.frag), as a point sprite
@@ -37,7 +37,6 @@ uniform float largest_point_px;
 float sigma_px, vmag_0_peak_dn;   // row 2 of chosen, with effective_sigma_px
 #else
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
-uniform float image_sigma_px;     // and as those of the image do: behind a lens, resampling widens what is drawn here
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
 #endif
 
@@ -63,12 +62,11 @@ layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OP
 #include "rasterization.glsl"
 #include "two_gaussians.glsl"
 #include "drawn_fraction.glsl"
+#if LENS
+#include "lens.glsl"
+#endif
 #if ROWS
 #include "readout.glsl"
-#endif
-
-#if ROWS == 2
-uniform float opening_per_px;     // largest change of the opening time per pixel
 #endif
 
 #if COMPONENTS
@@ -125,17 +123,28 @@ void two_gaussians(inout Path path, vec2 chord, vec2 ahead, float peak_dn, float
     path.flux = vec4(amplitudes_dn, margin_px, SHORT);
 }
 
-// A POINT or LONG path: curved, with varying flux per length.  `depths` are those of its ends, relative to its middle.
-void curved_path(inout Path path, vec2 chord, vec2 ahead, vec2 depths, float peak_dn, float radius_px) {
+#if LENS
+#define EndRates mat2             // derivatives of the position, px, at the ends, by the elapsed fraction of the path
+#else
+#define EndRates vec2             // depths of the ends, relative to the middle: those of a pinhole follow
+#endif
+
+// A POINT or LONG path: curved, with varying flux per length.
+void curved_path(inout Path path, vec2 chord, vec2 ahead, EndRates ends, float peak_dn, float radius_px) {
     float length_px = length(chord);
     vec2 along = chord / length_px, normal = vec2(-along.y, along.x);
     float from_middle = dot(ahead, along) / length_px, offset = dot(ahead, normal) / length_px;
     float flux_slope = clamp(4.0 * from_middle, -MAX_FLUX_VARIATION, MAX_FLUX_VARIATION);
     // Time per length at the start and at the end, relative to uniform motion.
-    vec2 slowness = 1.0 / max(2.0 + vec2(4.0, -4.0) * from_middle - depths.yx, 1.0 / MAX_END_FLUX);
-    float flux_curvature = clamp(0.75 * dot(depths, slowness) - 1.5, abs(flux_slope) - MAX_FLUX_VARIATION,
-                                 MAX_FLUX_VARIATION - abs(flux_slope));
-    float asymmetry = clamp(2.0 * offset * (slowness.y - slowness.x), -1.0, 1.0);
+#if LENS
+    vec2 slowness = 1.0 / max(along * ends / length_px, 1.0 / MAX_END_FLUX), sideways = normal * ends / length_px;
+    float flux_bend = 0.75 * (slowness.x + slowness.y) - 1.5, skewness = -0.5 * dot(sideways, slowness);
+#else
+    vec2 slowness = 1.0 / max(2.0 + vec2(4.0, -4.0) * from_middle - ends.yx, 1.0 / MAX_END_FLUX);
+    float flux_bend = 0.75 * dot(ends, slowness) - 1.5, skewness = 2.0 * offset * (slowness.y - slowness.x);
+#endif
+    float flux_curvature = clamp(flux_bend, abs(flux_slope) - MAX_FLUX_VARIATION, MAX_FLUX_VARIATION - abs(flux_slope));
+    float asymmetry = clamp(skewness, -1.0, 1.0);
     float curvature = offset / max(0.25 - from_middle * from_middle, 0.05) - 2.0 * asymmetry * from_middle;
     path.sagitta_px = 0.25 * curvature * length_px;
 
@@ -159,16 +168,9 @@ void curved_path(inout Path path, vec2 chord, vec2 ahead, vec2 depths, float pea
 // The earliest and the latest opening time of the rows that a path may light; rows outside the image do not matter.
 vec2 opening_bounds(Path path, vec2 chord, vec2 ahead, float reach_px) {
     vec2 apex_px = path.start_px + 0.5 * chord + 2.0 * ahead + 0.5, first_px = path.start_px + 0.5, last_px = path.end_px + 0.5;
-#if ROWS == 2
-    vec2 middle_px = first_px + 0.5 * chord + ahead;
-    vec3 opens = vec3(opening_at(first_px), opening_at(middle_px), opening_at(last_px));
-    float around = opening_per_px * ((1.0 + resampling) * reach_px + 0.5 * length(chord) + 2.0 * length(ahead));
-    vec2 bounds = vec2(min(min(opens.x, opens.y), opens.z) - around, max(max(opens.x, opens.y), opens.z) + around);
-#else
     vec2 low_px = min(min(first_px, last_px), apex_px) - reach_px, high_px = max(max(first_px, last_px), apex_px) + reach_px;
     float middle = opening_at(0.5 * (low_px + high_px)), around = dot(abs(opening.xy), 0.5 * (high_px - low_px));
     vec2 bounds = vec2(middle - around, middle + around);
-#endif
     return clamp(bounds, 0.0, 1.0 - open_time);
 }
 
@@ -235,24 +237,43 @@ Path path_of(int star, int segment) {
     );
     if (hidden)
         return path;
+#if LENS
+    vec3 start = at_start.xyz * weight, middle = at_middle.xyz, end = at_end.xyz * weight;
+#else
     vec3 start = vec3(at_start.xy, 1.0) * at_start.w * weight, middle = vec3(at_middle.xy, 1.0) * at_middle.w;
     vec3 end = vec3(at_end.xy, 1.0) * at_end.w * weight;
-    vec3 rising = interpolated(start, middle, end, parameter_at(rises, weight));
+#endif
+    vec2 parameters = vec2(parameter_at(rises, weight), parameter_at(sets, weight));
+    vec3 rising = interpolated(start, middle, end, parameters.x);
     vec3 between = interpolated(start, middle, end, parameter_at(0.5 * (rises + sets), weight));
-    vec3 setting = interpolated(start, middle, end, parameter_at(sets, weight));
+    vec3 setting = interpolated(start, middle, end, parameters.y);
+#if LENS
+    // Of the vectors themselves, so that a segment ends exactly where the next one starts.
+    LensPoint begins_at = through_lens(starts_up ? at_start.xyz : rising);
+    LensPoint ends_at = through_lens(ends_up ? at_end.xyz : setting);
+    path.start_px = begins_at.px;
+    path.end_px   = ends_at.px;
+    vec2 middle_px = vector_position_px(starts_up && ends_up ? middle : between);
+    vec3 rate = 4.0 * middle - 3.0 * start - end, change = 4.0 * (start - 2.0 * middle + end);
+    vec2 scale = (parameters.y - parameters.x) / vec2(starts_up ? weight : 1.0, ends_up ? weight : 1.0);
+    mat2 ends = mat2(begins_at.per_vector * (scale.x * (rate + parameters.x * change)),
+                     ends_at.per_vector * (scale.y * (rate + parameters.y * change)));
+#else
     path.start_px = starts_up ? at_start.xy : rising.xy / rising.z;
     path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
+    vec2 ends = vec2(rising.z, setting.z) / between.z;
+#endif
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
     float transmission = texelFetch(passage, min(ivec2(star, segment), textureSize(passage, 0) - 1), 0).r;
     float peak_dn = vmag_0_peak_dn * of_star.x * duration * (sets - rises) * transmission;
 #if ALL_SHORT
     two_gaussians(path, chord, ahead, peak_dn, of_star.y);
 #else
-    if (length(chord) < SHORT_SIGMA * image_sigma_px)
+    if (length(chord) < SHORT_SIGMA * effective_sigma_px)
         two_gaussians(path, chord, ahead, peak_dn, of_star.y);
     else
-        curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, of_star.y);
+        curved_path(path, chord, ahead, ends, peak_dn, of_star.y);
 #endif
 #if ROWS
     set_openings(path, chord, ahead, vec2(begin + duration * rises, duration * (sets - rises)), of_star.y);

@@ -5,9 +5,6 @@
 #if ROWS
 flat in vec2 step_px;             // star.vert
 flat in float first_number;
-#if ROWS == 2
-flat in vec2 opening_from_star;
-#endif
 uniform float sub_time;           // duration of a sub-exposure, as a fraction of the exposure
 
 #include "readout.glsl"
@@ -16,10 +13,6 @@ vec4 open_fractions, late;        // of each sub-exposure: the open fraction, an
 
 void set_open_fractions() {
     vec4 opens = vec4(opening_at(gl_FragCoord.xy));
-#if ROWS == 2
-    vec4 x_px = vec4(centres_01_px.xz, centres_23_px.xz), y_px = vec4(centres_01_px.yw, centres_23_px.yw);
-    opens += opening_from_star.x * (gl_FragCoord.x - 0.5 - x_px) + opening_from_star.y * (gl_FragCoord.y - 0.5 - y_px);
-#endif
     vec4 number = first_number + vec4(0.0, 1.0, 2.0, 3.0);
     vec4 first = clamp(opens / sub_time - number, 0.0, 1.0), last = clamp((opens + open_time) / sub_time - number, 0.0, 1.0);
     open_fractions = last - first;

@@ -15,10 +15,6 @@ flat in vec4 shape;               // star_path.frag: length, 1 / length, curvatu
 flat in vec3 flux;                // flux slope, flux curvature, amplitude (DN)
 #if ROWS
 flat in vec2 clock;               // of readout.glsl
-#if ROWS == 2
-flat in vec2 opening_from_path;   // trail_rows.vert
-flat in float sharpening;
-#endif
 #else
 flat in vec2 across;              // lowest and highest p that is drawn
 flat in vec4 owned;               // an axis (x, y), and the range along it whose pixels are drawn here: star_path.frag
@@ -41,9 +37,6 @@ const float HALF_LOG2_E = 0.7213475204444817;   // 1 / (2 ln 2): the variance of
 #endif
 
 vec2 limits;                      // of the integral along s
-#if ROWS == 2
-vec2 sharpened;                   // factors of the distances from them
-#endif
 
 // erf(sqrt(ln 2) x), given exp2(-x^2).
 vec2 erf(vec2 x, vec2 gaussian) {
@@ -69,9 +62,6 @@ float flux_at(vec2 position) {
     float narrowing = inversesqrt(sharpness), inclined = slope * off.y - off.x, shift = inclined / sharpness;
     float nearest = on_curve + shift;
     vec2 x = vec2(nearest - limits.x, limits.y - nearest) / narrowing;
-#if ROWS == 2
-    x *= sharpened;
-#endif
     vec2 ends = exp2(-x * x), integrals = erf(x, ends);
     // Flux per length as a quadratic function around there, and the integral of each of its powers over a Gaussian
     // between the ends.
@@ -85,34 +75,12 @@ float flux_at(vec2 position) {
     return exp2(inclined * shift - dot(off, off)) * dot(powers, moments) * narrowing;
 }
 
-#if ROWS
-// Elapsed fractions of the segment at which light that is drawn at this pixel begins and ends to be recorded.
-vec2 elapsed_limits(vec2 position) {
-#if ROWS == 2
-    float opens = opening_at(gl_FragCoord.xy) + dot(opening_from_path, position);
-    vec2 elapsed = (vec2(opens, opens + open_time) - clock.x) * clock.y;
-    // Of a star at the start of the path.  First as if it moved evenly along the chord, then one step of Newton's method.
-    float along_chord = max(1.0 + opening_from_path.x * shape.x * clock.y, 0.2);
-    vec2 u = clamp(elapsed / along_chord, 0.0, 1.0), to_ends = u * (1.0 - u);
-    vec2 s = u + to_ends * (flux.x + 0.6666667 * flux.y * (2.0 * u - 1.0)), remaining = s * (1.0 - s);
-    vec2 p = remaining * (shape.z + shape.w * (2.0 * s - 1.0));
-    vec2 later = shape.x * clock.y * (opening_from_path.x * s + opening_from_path.y * p);
-    return clamp(u + (elapsed - later - u) / along_chord, 0.0, 1.0);
-#else
-    return elapsed_while_open(gl_FragCoord.xy, clock);
-#endif
-}
-#endif
-
 void main() {
     vec2 position = (gl_FragCoord.xy - origin_px) * mat2(axes);
 #if ROWS
     // A path is drawn by one primitive, which owns all of its pixels.
-    vec2 elapsed = elapsed_limits(position);
+    vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock);
     limits = shape.x * lengths_at(elapsed, flux.x, flux.y);
-#if ROWS == 2
-    sharpened = vec2(elapsed.x > 0.0 ? sharpening : 1.0, elapsed.y < 1.0 ? sharpening : 1.0);
-#endif
     light_dn = in_mosaic(elapsed.y > elapsed.x ? flux.z * max(flux_in_pixel(position, mat2(axes)), 0.0) : 0.0);
 #else
     limits = vec2(0.0, shape.x);

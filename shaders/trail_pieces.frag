@@ -9,9 +9,14 @@ flat in vec4 amplitudes_dn;
 out float light_dn;
 
 #include "mosaic.glsl"
+#include "pixel_kernel.glsl"
+
+float flux_at(vec2 position) {
+    vec4 x = position.x - centres_x, y = position.y - centres_y;
+    vec4 gaussians = exp2(x * (falloff_xx * x + falloff_xy * y) + falloff_yy * y * y);
+    return dot(amplitudes_dn, gaussians);
+}
 
 void main() {
-    vec4 x = gl_FragCoord.x - centres_x, y = gl_FragCoord.y - centres_y;
-    vec4 gaussians = exp2(x * (falloff_xx * x + falloff_xy * y) + falloff_yy * y * y);
-    light_dn = in_mosaic(dot(amplitudes_dn, gaussians));
+    light_dn = in_mosaic(flux_in_pixel(gl_FragCoord.xy, mat2(1.0)));
 }

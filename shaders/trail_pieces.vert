@@ -14,7 +14,8 @@ uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-
 uniform sampler2D chosen;         // of each column: the star's index, its truncation radius, px, and transmission
 // Under a rolling shutter in a second row: the first piece that is drawn of the star, and the one after the last.
 uniform sampler2D passage;        // transmission of cloud by column and piece; one texel of 1 without
-uniform float sigma_px;           // of a star as the pixels record it
+uniform float sigma_px;           // of the Gaussians that are drawn: pixel_kernel.glsl
+uniform float effective_sigma_px; // of a star as the pixels record it
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
 
 #if ROWS
@@ -45,11 +46,9 @@ struct Piece {
     float light;                  // duration, a fraction of the exposure, times transmission of cloud; 0: not drawn
 };
 
-// The covariance of a position, px^2, given that of the rotation vector of the camera.
-vec3 moved_px2(vec2 tangent, vec4 upper, vec4 lower) {
-    vec3 right = vec3(-tangent.x * tangent.y, 1.0 + tangent.x * tangent.x, -tangent.y);
-    vec3 down  = vec3(-1.0 - tangent.y * tangent.y, tangent.x * tangent.y, tangent.x);
-    vec3 x_px = focal_px.x * right + skew_px * down, y_px = focal_px.y * down;
+// The covariance of a position, px^2, given how it changes with the rotation vector of the camera, and the covariance of
+// that.
+vec3 moved_px2(vec3 x_px, vec3 y_px, vec4 upper, vec4 lower) {
     mat3 covariance = mat3(upper.xyz, vec3(upper.y, lower.xy), vec3(upper.z, lower.yz));
     vec3 of_x = covariance * x_px;
     return vec3(dot(x_px, of_x), dot(y_px, of_x), dot(y_px, covariance * y_px));
@@ -58,10 +57,21 @@ vec3 moved_px2(vec2 tangent, vec4 upper, vec4 lower) {
 Piece piece_of(vec3 direction_eq, int row, float radius_px) {
     vec4 upper = texelFetch(pointing, ivec2(5, row), 0), lower = texelFetch(pointing, ivec2(6, row), 0);
     Observed seen = observed(direction_eq, row);
-    bool is_seen = seen.in_camera.z > 1e-9 && seen.height >= 0.0
+    bool is_seen = is_in_view(seen.in_camera) && seen.height >= 0.0
         && seen.sine_altitude >= SINE_OF_LOWEST_ALTITUDE + sine_horizon;
+#if LENS
+    vec3 vector = is_seen ? seen.in_camera : vec3(0.0, 0.0, 1.0);
+    LensPoint point = through_lens(vector);
+    vec2 centre_px = point.px;
+    mat2x3 per_vector = transpose(point.per_vector);
+    vec3 x_px = cross(vector, per_vector[0]), y_px = cross(vector, per_vector[1]);
+#else
     vec2 tangent = seen.in_camera.xy / (is_seen ? seen.in_camera.z : 1.0);
     vec2 centre_px = target_position_px(tangent);
+    vec3 right = vec3(-tangent.x * tangent.y, 1.0 + tangent.x * tangent.x, -tangent.y);
+    vec3 down  = vec3(-1.0 - tangent.y * tangent.y, tangent.x * tangent.y, tangent.x);
+    vec3 x_px = focal_px.x * right + skew_px * down, y_px = focal_px.y * down;
+#endif
     // Far outside the image a star may move by any distance during a piece.
     bool is_near = all(greaterThan(centre_px, vec2(-2.0 * radius_px)))
         && all(lessThan(centre_px, target_px + 2.0 * radius_px));
@@ -71,9 +81,14 @@ Piece piece_of(vec3 direction_eq, int row, float radius_px) {
 #endif
     if (!(is_seen && is_near))
         return Piece(vec2(0.0), vec3(1.0, 0.0, 1.0), 0.0);
-    vec3 covariance_px2 = moved_px2(tangent, upper, lower) + sigma_px * sigma_px * vec3(1.0, 0.0, 1.0);
+    vec3 covariance_px2 = moved_px2(x_px, y_px, upper, lower) + sigma_px * sigma_px * vec3(1.0, 0.0, 1.0);
     float transmission = texelFetch(passage, min(ivec2(int(sprite.x), row), textureSize(passage, 0) - 1), 0).r;
     return Piece(centre_px, covariance_px2, upper.w * transmission);
+}
+
+// Standard deviations along x and y, as the pixels record them.
+vec2 recorded_px(Piece piece) {
+    return sqrt(piece.covariance_px2.xz + (effective_sigma_px * effective_sigma_px - sigma_px * sigma_px));
 }
 
 // Fraction of a Gaussian in a square around another point.
@@ -95,7 +110,7 @@ void main() {
     vec2 low_px = vec2(FAR_PX), high_px = vec2(-FAR_PX);
     for (int k = 0; k < PIECES_PER_SPRITE; ++k) {
         Piece piece = piece_of(star.xyz, int(sprite.y) * PIECES_PER_SPRITE + k, radius_px);
-        vec2 reach_px = radius_px * sqrt(piece.covariance_px2.xz) / sigma_px + SNAPPING_PX;
+        vec2 reach_px = radius_px * recorded_px(piece) / effective_sigma_px + SNAPPING_PX;
         low_px  = piece.light > 0.0 ? min(low_px, piece.centre_px - reach_px) : low_px;
         high_px = piece.light > 0.0 ? max(high_px, piece.centre_px + reach_px) : high_px;
         vec3 px2 = piece.covariance_px2;
@@ -115,7 +130,7 @@ void main() {
         Piece piece = pieces[k];
         all_flux += piece.light;
         drawn_flux += piece.light == 0.0 ? 0.0 : piece.light
-            * fraction_in_square(piece.centre_px - middle_px, sqrt(piece.covariance_px2.xz), half_px);
+            * fraction_in_square(piece.centre_px - middle_px, recorded_px(piece), half_px);
     }
     amplitudes_dn *= all_flux / max(drawn_flux, 1e-9);
     // A clipped point would send all of the call through a slower part of llvmpipe.  This one lies in a corner of the

@@ -19,9 +19,6 @@ flat out float falloff_per_px2, sigma_px;
 uniform float half_width_px;      // half width at half maximum of the point spread function: unit of length in trail.frag
 
 flat out vec2 clock;
-#if ROWS == 2
-flat out vec2 opening_from_path;  // change of the opening time per distance from the path: px, or half widths along s and p
-#endif
 #if SHAPE == 0
 flat out vec4 path_px;
 flat out vec2 ahead_px;
@@ -30,18 +27,12 @@ flat out float amplitude_dn;
 flat out vec4 axes;
 flat out vec2 origin_px;
 flat out vec4 shape;
-#if ROWS == 2
-flat out float sharpening;        // of the limits of the integral
-#endif
 flat out vec3 flux;
 #endif
 
 #include "trail_constants.glsl"
 #include "rasterization.glsl"
 #include "target.glsl"
-#if ROWS == 2
-#include "readout.glsl"
-#endif
 
 #if MOSAIC
 uniform sampler2D tints_of_stars; // by column
@@ -67,9 +58,6 @@ void main() {
     falloff_per_px2 = width.x;
     sigma_px = width.y;
 #endif
-#if ROWS == 2
-    opening_from_path = opening_per_px_from_star(chord.xy + 0.5 * chord.zw + 0.5);
-#endif
     vec2 end_px = chord.xy + chord.zw, middle_px = chord.xy + 0.5 * chord.zw + path.xy;
     vec2 low_px = min(min(chord.xy, end_px), middle_px), high_px = max(max(chord.xy, end_px), middle_px);
     is_drawn = profile.w == SHORT + PARTLY_OPEN && is_point_over(low_px - profile.z, high_px + profile.z);
@@ -81,14 +69,6 @@ void main() {
     origin_px = start_px + 0.5;
     shape = vec4(length, 1.0 / length, curvature, asymmetry);
     flux = vec3(profile.yz, amplitude);
-#if ROWS == 2
-    vec2 per_px = opening_per_px_from_star(start_px + 0.5 * length_px * along + 0.5);
-    opening_from_path = half_width_px * vec2(dot(per_px, along), dot(per_px, normal));
-    // The pixels that one pixel of the image is resampled from lie in several rows, which blurs where a path is cut.
-    float speed_px = length_px * clock.y;
-    float blur = speed_px * speed_px * dot(per_px, per_px) * (1.0 + resampling) / resampling;
-    sharpening = inversesqrt(max(1.0 - blur, 0.5));
-#endif
 #endif
 
 #if SHAPE == 1

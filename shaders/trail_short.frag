@@ -8,9 +8,6 @@ flat in vec4 path_px;             // start, in the coordinates of gl_FragCoord, 
 flat in vec2 ahead_px;            // distance of the middle from that of the chord
 flat in float amplitude_dn;       // of a Gaussian that does not move during the segment
 flat in vec2 clock;               // of readout.glsl
-#if ROWS == 2
-flat in vec2 opening_from_path;   // trail_rows.vert
-#endif
 
 #if COMPONENTS
 flat in float sigma_px;           // COMPONENTS: of star_path.frag
@@ -40,24 +37,10 @@ out float light_dn;
 #include "readout.glsl"
 #include "two_gaussians.glsl"
 
-// Elapsed fractions of the segment at which light that is drawn at this pixel begins and ends to be recorded.
-vec2 elapsed_limits() {
-#if ROWS == 2
-    float opens = opening_at(gl_FragCoord.xy) + dot(opening_from_path, gl_FragCoord.xy - path_px.xy);
-    vec2 elapsed = (vec2(opens, opens + open_time) - clock.x) * clock.y;
-    // Of a star at path_px.xy; at an elapsed fraction u it is u chord + 4 u (1 - u) ahead_px further.
-    float along_chord = max(1.0 + dot(opening_from_path, path_px.zw) * clock.y, 0.2);
-    vec2 even = clamp(elapsed / along_chord, 0.0, 1.0);
-    vec2 bent = 4.0 * even * (1.0 - even) * dot(opening_from_path, ahead_px) * clock.y;
-    return clamp((elapsed - bent) / along_chord, 0.0, 1.0);
-#else
-    return elapsed_while_open(gl_FragCoord.xy, clock);
-#endif
-}
-
 // The two Gaussians of the part of the path that the row of a pixel records: as `two_gaussians` of star_path.frag.
 void set_gaussians() {
-    TwoGaussians of_row = part_of_motion(elapsed_limits(), path_px.xy, path_px.zw, ahead_px, sigma_px, amplitude_dn);
+    vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock);
+    TwoGaussians of_row = part_of_motion(elapsed, path_px.xy, path_px.zw, ahead_px, sigma_px, amplitude_dn);
     centres_px = of_row.centres_px;
     shape = of_row.shape;
     amplitudes_dn = of_row.amplitudes_dn;

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.geometry.readout import LONGEST_READOUT_S
 from glstar.calibrate.identify.hints import Label
-from glstar.calibrate.identify.platesolution import PlateSolution, ReferenceStars
+from glstar.calibrate.identify.platesolution import PlateSolution, ReferenceStars, nominal_camera
 from glstar.calibrate.identify.rollingshutter import RowTurns
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.photograph import Photograph
@@ -101,8 +101,7 @@ class PhotographInputs:
         if self.fov_deg is None and self.labels is None:
             message = "has no known field of view; give --fov DEG (left to right, to 15 %) or --config CAMERA.toml"
             raise CalibrationError(message, path=photograph.path)
-        f_px = float(width / 2 / np.tan(np.deg2rad(self.fov_deg or _UNKNOWN_FOV_DEG) / 2))
-        return Camera(width, height, f_px, f_px, (width - 1) / 2, (height - 1) / 2)
+        return nominal_camera(width, height, float(np.deg2rad(self.fov_deg or _UNKNOWN_FOV_DEG)))
 
     def solution(self, camera: Camera) -> PlateSolution | None:
         """Return the plate solution by the given attitude, mount and camera; None without an attitude."""

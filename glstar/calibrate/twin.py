@@ -18,7 +18,6 @@ from glstar.calibrate.sensor.photographmodel import PhotographModel
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2
 from glstar.config import Config
-from glstar.errors import CalibrationError
 from glstar.render.motion.pointing import Pointing
 from glstar.render.motion.trailmodels import SubExposures
 from glstar.render.scene.culling import DrawList
@@ -28,6 +27,8 @@ from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 from glstar.sky.place.site import Site
 
+# Sine of the altitude of the horizon that lets all stars be up.
+_NO_HORIZON = -2.0
 # Largest distance of the sub-exposures of a sidereal trail, px.
 _SPACING_PX = 0.25
 # Peaks above this multiple of the sky's noise are compared, and the widths of this number of the brightest stars.
@@ -139,19 +140,17 @@ def render_twin(
 
     `config`: what the calibration wrote; `seed`: of the noise; `catalogue_brightness`: whether stars have the
     catalogue's brightness, and not each that of the photograph.  Returns (height, width) uint8 or uint16: mirrored if
-    the photograph is.  Raises CalibrationError if the simulator does not draw a camera of so wide a view.
+    the photograph is.
     """
     calibration = model.calibration
     solution, reference = calibration.matches.solution, calibration.reference
     sensor, camera = config.sensor(), config.camera()
-    if not camera.is_drawable:
-        raise CalibrationError("has no twin: the simulator does not draw a view that wide")
     exposure_s = calibration.sensor.reference_exposure_s
     recorded = None if catalogue_brightness else config.star_brightness()
     stars = in_band(reference.stars if recorded is None else recorded.applied(reference.stars), sensor.colour)
     shown = np.sort(calibration.matches.predicted).astype(np.int32)
     peak_dn = sensor.peak_dn(stars.camera_mag[shown], exposure_s)
-    radius_px = camera.max_magnification * sensor.truncation_radius_px(peak_dn)
+    radius_px = sensor.truncation_radius_px(peak_dn)
     longest_px = 0.0
     if model.moved:
         trails_px = sidereal_trails(solution, calibration.matches.predicted_xy_px, exposure_s)
@@ -181,8 +180,10 @@ def _pointing(reference: ReferenceStars, C_camera_eq: Float) -> Pointing:
     zenith, velocity = (
         np.repeat(one[np.newaxis], len(C_camera_eq), axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
     )
-    # Without a site there is no horizon: all stars on the image are up.
-    return Pointing(C_camera_eq, zenith if zenith.any() else C_camera_eq[:, 2], velocity, reference.refraction_scale)
+    if zenith.any():
+        return Pointing(C_camera_eq, zenith, velocity, reference.refraction_scale)
+    # Without a site there is no horizon: all stars are up, those behind the camera too.
+    return Pointing(C_camera_eq, C_camera_eq[:, 2], velocity, reference.refraction_scale, sine_horizon=_NO_HORIZON)
 
 
 def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:

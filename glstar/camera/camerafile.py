@@ -1,6 +1,6 @@
 """Calibration files of cameras.
 
-Six dialects of YAML are read, by the rules of `glstar.camera.camerakeys`:
+Seven dialects of YAML are read, by the rules of `glstar.camera.camerakeys`:
 
 =========================  ==========================================================  ============================
 dialect                    camera matrix                                               image size
@@ -10,19 +10,20 @@ ROS camera_info            ``camera_matrix: {rows, cols, data}``, or ``K`` (9 nu
 Kalibr camchain            ``cam0: {intrinsics: [fx, fy, cx, cy]}``                    ``resolution: [w, h]``
 EuRoC sensor.yaml          ``intrinsics: [fx, fy, cx, cy]``                            ``resolution: [w, h]``
 VINS-Fusion (camodocal)    ``projection_parameters: {fx, fy, cx, cy}``                 ``image_width, image_height``
+Basalt calibration.json    ``value0: intrinsics: [{intrinsics: {fx, fy, cx, cy}}]``    ``resolution: [[w, h]]``
 ORB-SLAM2, ORB-SLAM3       ``Camera.fx``, ``Camera1.fx`` ...                           ``Camera.width, Camera.height``
 =========================  ==========================================================  ============================
 
 JSON is a subset of YAML and is read too, and so is OpenCV's XML.  All dialects put pixel (0, 0) at the CENTRE of the
-top-left pixel, as glstar does, so that no position is shifted.  The lens models are OpenCV's
-(`glstar.camera.distortion`): plumb_bob (radtan), rational_polynomial and fisheye (equidistant).  If a file does not
-name its model, the number of coefficients decides: 4 or 5 mean plumb_bob, and 8, 12 or 14 mean rational.  A fisheye
-must be named, by any key.
+top-left pixel, as glstar does, so that no position is shifted.  The lens models are those of
+`glstar.camera.distortion`: plumb_bob (radtan), rational_polynomial, fisheye (equidistant), omni (Mei), double_sphere
+(ds) and eucm.  If a file does not name its model, the number of coefficients decides: 4 or 5 mean plumb_bob, and 8, 12
+or 14 mean rational; with a number xi it is omni, as OpenCV's omnidir writes it.  The others must be named, by any key.
 """
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from os import PathLike
 from xml.etree import ElementTree as ET
@@ -41,6 +42,7 @@ from glstar.camera.camerakeys import (
     label,
     model_of,
     normalized,
+    read_number,
 )
 from glstar.camera.distortion import COEFFICIENTS, LensModel
 from glstar.camera.model import Camera
@@ -48,8 +50,8 @@ from glstar.errors import CalibrationError, reading
 from glstar.system.userinput import read_text
 
 DIALECTS = (
-    "OpenCV and ROS camera_info files (camera_matrix), Kalibr camchains (cam0), and files of EuRoC, VINS-Fusion and"
-    " ORB-SLAM"
+    "OpenCV and ROS camera_info files (camera_matrix), Kalibr camchains (cam0), and files of EuRoC, Basalt, VINS-Fusion"
+    " and ORB-SLAM"
 )
 # Documents of one file that are compared: "ros2 topic echo" writes one per message.
 _MOST_DOCUMENTS = 10
@@ -192,11 +194,7 @@ _LARGEST_BYTES = 2 * 2**20
 # Plausible magnitude of the coefficients of a plumb_bob or fisheye lens; larger ones mean that the calibration failed.
 _LARGEST_COEFFICIENT = 10.0
 
-_ROS_NAMES: Mapping[LensModel, str] = {
-    "plumb_bob": "plumb_bob",
-    "rational": "rational_polynomial",
-    "fisheye": "equidistant",
-}
+_ROS_NAMES: Mapping[LensModel, str] = {"rational": "rational_polynomial", "fisheye": "equidistant"}
 
 
 def _camera_of_document(keys: Keys, name: str | None) -> tuple[Camera, tuple[str, ...]]:
@@ -205,6 +203,8 @@ def _camera_of_document(keys: Keys, name: str | None) -> tuple[Camera, tuple[str
     orb_slam = sorted({match[1] for key in keys if (match := re.fullmatch(_ORB_SLAM, str(key)))})
     if chain:
         return _kalibr(keys, _chosen(chain, name))
+    if "value0" in keys:
+        return _basalt(keys["value0"], name)
     if orb_slam:
         return _orb_slam(keys, _chosen(orb_slam, name))
     if name is not None:
@@ -217,7 +217,11 @@ def _camera_of_document(keys: Keys, name: str | None) -> tuple[Camera, tuple[str
             f"has no camera matrix under any name that glstar knows; it reads {DIALECTS}, and here"
             f" {_key_of_another_file(keys)}"
         )
-    return camera_of(entries)
+    camera, notes = camera_of(entries)
+    if "maxangledeg" in entries and camera.lens is not None:
+        key, value = entries["maxangledeg"][0]
+        camera = replace(camera, lens=replace(camera.lens, max_angle_rad=float(np.deg2rad(read_number(key, value)))))
+    return camera, notes
 
 
 def _key_of_another_file(keys: Keys) -> str:
@@ -267,9 +271,12 @@ def _camodocal(keys: Keys) -> tuple[Camera, tuple[str, ...]]:
             raise CalibrationError(f"{group} holds no keys and values, but {kind_of(section)}")
         for key, value in section.items():
             entries.setdefault(normalized(key), []).append((f"{group}.{key}", value))
-    if model_of(entries) == "fisheye":
+    theirs = {"gamma1": "fx", "gamma2": "fy", "u0": "cx", "v0": "cy"}
+    if model_of(entries) == "omni":
+        entries = {theirs.get(key, key): values for key, values in entries.items()}
+    elif model_of(entries) == "fisheye":
         # r = theta + k2 theta^3 + k3 theta^5 + k4 theta^7 + k5 theta^9 is OpenCV's k1 to k4.
-        theirs = {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4", "mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
+        theirs |= {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4", "mu": "fx", "mv": "fy"}
         if "k1" in entries:
             raise CalibrationError(f"has {entries['k1'][0][0]}; the coefficients of KANNALA_BRANDT are k2 to k5")
         entries = {theirs.get(key, key): values for key, values in entries.items()}
@@ -287,6 +294,23 @@ def _kalibr(keys: Keys, name: str) -> tuple[Camera, tuple[str, ...]]:
     if not any(key in entries for key in MATRIX_KEYS) and not all(key in entries for key in INTRINSIC_KEYS):
         raise CalibrationError(f"{name} has no intrinsics: [fx, fy, cx, cy]")
     return camera_of(entries)
+
+
+def _basalt(rig: object, name: str | None) -> tuple[Camera, tuple[str, ...]]:
+    """Return a camera of Basalt's calibration.json; cameras are named cam0, cam1 ... in their order."""
+    cameras = rig.get("intrinsics") if isinstance(rig, Mapping) else None
+    sizes = rig.get("resolution") if isinstance(rig, Mapping) else None
+    if not isinstance(cameras, list) or not isinstance(sizes, list) or len(cameras) != len(sizes):
+        raise CalibrationError("has value0, as Basalt's files, without intrinsics and a resolution for each camera")
+    chosen = int(_chosen([f"cam{k}" for k in range(len(cameras))], name)[3:])
+    camera = cameras[chosen]
+    numbers = camera.get("intrinsics") if isinstance(camera, Mapping) else None
+    if not isinstance(numbers, Mapping):
+        raise CalibrationError(f"value0.intrinsics holds no camera_type with intrinsics for cam{chosen}")
+    named = dict(numbers) | {"resolution": sizes[chosen], "camera_model": camera.get("camera_type")}
+    if named["camera_model"] == "ucm":  # an EUCM with beta = 1
+        named |= {"camera_model": "eucm", "beta": 1.0}
+    return camera_of(entries_of((str(key), value) for key, value in named.items()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,6 +400,7 @@ def camera_warnings(camera: Camera) -> tuple[str, ...]:
 def camera_to_yaml(camera: Camera, *comments: str) -> str:
     """Return a camera as ROS camera_info YAML, which `camera_from_file`, ROS and OpenCV's FileStorage read.
 
+    ROS has no name for omni, double_sphere and eucm.  xi of omni is a key of its own, as OpenCV's omnidir writes it.
     Lines of `comments`, such as the origin of the numbers, are written at the top.  Reading it returns the same
     numbers.
     """
@@ -383,19 +408,22 @@ def camera_to_yaml(camera: Camera, *comments: str) -> str:
     K = camera.K
     projection = np.column_stack([K, np.zeros(3)])
     # ROS expects five numbers for a plumb_bob and eight for a rational_polynomial.
+    model = "plumb_bob" if lens is None else lens.model
     coefficients = list(lens.coefficients) if lens is not None else []
-    if lens is None or lens.model != "rational":
-        count = 4 if lens is not None and lens.model == "fisheye" else 5
-    else:
+    count = len(COEFFICIENTS[model])
+    if model == "rational":
         count = next(count for count in (8, 12, 14) if len(coefficients) <= count)
     coefficients += [0.0] * (count - len(coefficients))
+    mirror = [f"xi: {coefficients.pop(0)!r}"] if model == "omni" else []
     lines = [
         *(f"# {line}" for comment in comments for line in comment.splitlines()),
         f"image_width: {camera.width_px}",
         f"image_height: {camera.height_px}",
         "camera_name: glstar",
         *_yaml_matrix("camera_matrix", K),
-        f"distortion_model: {_ROS_NAMES[lens.model] if lens is not None else 'plumb_bob'}",
+        f"distortion_model: {_ROS_NAMES.get(model, model)}",
+        *mirror,
+        *([] if lens is None or "max_angle_deg" not in lens.keys else [f"max_angle_deg: {lens.keys['max_angle_deg']}"]),
         *_yaml_matrix("distortion_coefficients", np.array([coefficients])),
         *_yaml_matrix("rectification_matrix", np.eye(3)),
         *_yaml_matrix("projection_matrix", projection),

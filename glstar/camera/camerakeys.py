@@ -9,12 +9,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from reprlib import Repr
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TypeVar, cast
 
 import numpy as np
 
 from glstar.arrays import Float
-from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
+from glstar.camera.distortion import COEFFICIENTS, LENS_MODELS, Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 
@@ -24,8 +24,8 @@ Entries = Mapping[str, Sequence[tuple[str, object]]]
 T = TypeVar("T")
 
 _KNOWN_MODELS = (
-    "glstar knows plumb_bob (radtan), rational_polynomial and fisheye (equidistant): calibrate with one of these, or"
-    " rectify the images"
+    "glstar knows plumb_bob (radtan), rational_polynomial, fisheye (equidistant), omni, double_sphere (ds) and eucm:"
+    " calibrate with one of these, or rectify the images"
 )
 
 # Limits a value quoted in a message to one short line, however large or deep it is.
@@ -125,45 +125,27 @@ _MAYBE_MODEL_KEYS = frozenset(("model", "type", "lens", "cameratype", "camera", 
 
 # Names of lens models by other programs, normalized.  None: the file does not say how the lens distorts, or only that
 # it is a pinhole before its distortion, and the number of coefficients decides, as in OpenCV's files.
-_MODELS: Mapping[str, LensModel | None] = {
-    "": None,
-    "pinhole": None,
-    "perspective": None,
-    "rectilinear": None,
-    "opencv": None,
-    "plumbbob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "pinholeradtan": "plumb_bob",
-    "radialtangential": "plumb_bob",
-    "brown": "plumb_bob",
-    "brownconrady": "plumb_bob",
-    "rationalpolynomial": "rational",
-    "rational": "rational",
-    "fullopencv": "rational",
-    "pinholefull": "rational",
-    "thinprism": "rational",
-    "equidistant": "fisheye",
-    "equi": "fisheye",
-    "pinholeequi": "fisheye",
-    "pinholeequidistant": "fisheye",
-    "fisheye": "fisheye",
-    "opencvfisheye": "fisheye",
-    "fisheyeopencv": "fisheye",
-    "cvfisheye": "fisheye",
-    "cv2fisheye": "fisheye",
-    "pinholefisheye": "fisheye",
-    "fisheyeequidistant": "fisheye",
-    "equidistantfisheye": "fisheye",
-    "kb": "fisheye",
-    "kb4": "fisheye",
-    "kb8": "fisheye",
-    "kannalabrandt": "fisheye",
-    "kannalabrandt4": "fisheye",
-    "kannalabrandt8": "fisheye",
+_MODEL_NAMES: Mapping[LensModel | None, str] = {
+    None: "pinhole perspective rectilinear opencv",
+    "plumb_bob": "plumbbob radtan pinholeradtan radialtangential brown brownconrady",
+    "rational": "rationalpolynomial rational fullopencv pinholefull thinprism pinholeradtan8",
+    "fisheye": (
+        "equidistant equi pinholeequi pinholeequidistant fisheye opencvfisheye fisheyeopencv "
+        "cvfisheye cv2fisheye pinholefisheye fisheyeequidistant equidistantfisheye kb kb4 kb8 "
+        "kannalabrandt kannalabrandt4 kannalabrandt8"
+    ),
+    "omni": "omni omniradtan omninone omnidir cvomnidir cv2omnidir omnidirectional mei",
+    "double_sphere": "ds dsnone doublesphere",
+    "eucm": "eucm eucmnone",
+}
+_MODELS = {"": None} | {name: model for model, names in _MODEL_NAMES.items() for name in names.split()}
+# Coefficients of a lens that are written beside its camera matrix, not among its distortion coefficients.
+_FIRST_STEP: Mapping[str, tuple[str, ...]] = {
+    name: tuple(formulas.bounds) for name, formulas in LENS_MODELS.items() if formulas.bounds
 }
 # Lens models that glstar lacks, where a text may be a lens model or the name of a product.
 _LACKING = frozenset(
-    {"ds", "mei", "ucm", "unified", "fov", "atan", "ftheta", "ocam", "ocamcalib", "division", "radialdivision"}
+    {"ucm", "unified", "fov", "atan", "ftheta", "ocam", "ocamcalib", "division", "radialdivision"}
     | {"radial", "simpleradial", "polynomial", "spherical", "equirectangular", "equisolid", "stereographic"}
     | {"orthographic", "cylindrical", "panoramic", "inversebrownconrady", "modifiedbrownconrady"}
 )
@@ -189,7 +171,8 @@ _COUNTS: Mapping[LensModel, tuple[int, ...]] = {
 # Largest tangential coefficients of lenses; the last two of a fisheye's four are often larger.
 _LARGEST_TANGENTIAL = 0.015
 # Least focal length over the width of the image: a plumb_bob lens then sees 79 deg off its axis, a fisheye all around.
-_LEAST_FOCAL: Mapping[LensModel, float] = {"plumb_bob": 0.1, "rational": 0.1, "fisheye": 0.03}
+_LEAST_FOCAL: Mapping[LensModel, float] = {"plumb_bob": 0.1, "rational": 0.1}
+_LEAST_WIDE_FOCAL = 0.03
 
 
 def entries_of(items: Iterator[tuple[str, object]], prefix: str = "") -> dict[str, list[tuple[str, object]]]:
@@ -209,11 +192,15 @@ def camera_of(entries: Entries) -> tuple[Camera, tuple[str, ...]]:
     """Return the camera of all dialects, and what was passed over or assumed."""
     _refuse_part_of_the_image(entries)
     notes = _passed_over(entries)
-    lens = _lens(entries, notes)
+    named = model_of(entries)
+    if named is None and any(_number(key, value) for key, value in entries.get("xi", ())):
+        named = "omni"
+        notes.append(f"{entries['xi'][0][0]} is not 0 and no key names the model: omni is assumed, OpenCV's omnidir")
+    lens = _wide_lens(entries, named) if named is not None and named in _FIRST_STEP else _lens(entries, named, notes)
     width_px, height_px = _size(entries)
-    fx_px, fy_px, cx_px, cy_px, skew_px = _intrinsics(entries)
+    fx_px, fy_px, cx_px, cy_px, skew_px = _intrinsics(entries, len(_FIRST_STEP.get(named or "", ())))
     camera = Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px, skew_px=skew_px, lens=lens)
-    least = _LEAST_FOCAL["plumb_bob" if lens is None else lens.model]
+    least = _LEAST_FOCAL.get("plumb_bob" if lens is None else lens.model, _LEAST_WIDE_FOCAL)
     if fx_px < least * width_px and fy_px < least * height_px:
         raise CalibrationError(
             f"has focal lengths of {fx_px:g} and {fy_px:g} for an image of {width_px} x {height_px} px: they are not in"
@@ -234,9 +221,9 @@ def _agreed(claims: Sequence[tuple[str, T]]) -> T | None:
     return claims[0][1] if claims else None
 
 
-def _intrinsics(entries: Entries) -> tuple[float, ...]:
-    """Return fx, fy, cx, cy and skew, px."""
-    claims = [(key, _of_matrix(key, value)) for name in MATRIX_KEYS for key, value in entries.get(name, ())]
+def _intrinsics(entries: Entries, first: int) -> tuple[float, ...]:
+    """Return fx, fy, cx, cy and skew, px; `first` coefficients of the lens may precede them in a list."""
+    claims = [(key, _of_matrix(key, value, first)) for name in MATRIX_KEYS for key, value in entries.get(name, ())]
     if not claims or all(name in entries for name in INTRINSIC_KEYS):
         missing = [name for name in INTRINSIC_KEYS if name not in entries]
         if missing:
@@ -247,14 +234,17 @@ def _intrinsics(entries: Entries) -> tuple[float, ...]:
     return _agreed(claims) or ()
 
 
-def _of_matrix(key: str, value: object) -> tuple[float, ...]:
-    """Return fx, fy, cx, cy and skew, px, of a 3 x 3 matrix or of Kalibr's four intrinsics."""
+def _of_matrix(key: str, value: object, first: int) -> tuple[float, ...]:
+    """Return fx, fy, cx, cy and skew, px, of a 3 x 3 matrix or of Kalibr's intrinsics."""
     if isinstance(value, list) and not any(isinstance(row, list) for row in value):
         numbers = read_numbers(key, value)
-        if len(numbers) == 4:
-            return (*numbers, 0.0)
+        if len(numbers) in {4, 4 + first}:
+            return (*numbers[-4:], 0.0)
         if len(numbers) != 9 and normalized(key.rpartition(".")[2]) == "intrinsics":
-            raise CalibrationError(f"{key} holds {len(numbers)} numbers; a pinhole has 4: [fx, fy, cx, cy]")
+            raise CalibrationError(
+                f"{key} holds {len(numbers)} numbers; a pinhole has 4: [fx, fy, cx, cy], omni 5: [xi, fx ...],"
+                " double_sphere (ds) 6: [xi, alpha, fx ...], eucm 6: [alpha, beta, fx ...]; camera_model names it"
+            )
     K = read_matrix(key, value)
     if K[1, 0] != 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
         rows = "; ".join(" ".join(f"{number:g}" for number in row) for row in K)
@@ -320,8 +310,8 @@ def _passed_over(entries: Entries) -> list[str]:
                 name.startswith(matrix) for matrix in MATRIX_KEYS if len(matrix) > 1
             )
             passed += [key] if is_near else []
-        elif name in ("xi", "mirrorparameters") and value not in (None, 0, 0.0):
-            raise CalibrationError(f"has {key}, the mirror of an omnidirectional lens; {_KNOWN_MODELS}")
+        elif name == "mirrorparameters" and value:
+            raise CalibrationError(f"has {key}, the mirror of an omnidirectional lens; write it as xi, a number")
         elif name not in _COEFFICIENTS | _MODEL_KEYS and _may_carry_the_lens(name, value):
             raise CalibrationError(
                 f"has {key}, which glstar does not know and which may carry the lens; write the coefficients as"
@@ -362,6 +352,9 @@ def model_of(entries: Entries) -> LensModel | str | None:
     named = [(key, model) for key, model in claims if model != "no fisheye"]
     if refused and any(model == "fisheye" for _, model in named):
         _agreed([named[0], (refused[0], "no fisheye")])
+    if any(model in _FIRST_STEP for _, model in named):
+        # The other name is that of the second step: Kalibr's camera_model: omni with distortion_model: radtan.
+        named = [claim for claim in named if claim[1] not in {"plumb_bob", _NO_DISTORTION}]
     return _agreed(named)
 
 
@@ -382,16 +375,74 @@ def _is_false(value: object) -> bool:
     return is_text or (value is not None and value in (False, 0))
 
 
-def _lens(entries: Entries, notes: list[str]) -> Lens | None:
-    """Return the lens of a file; None for a pinhole."""
-    named = model_of(entries)
-    claims = [
+def _number(key: str, value: object) -> float:
+    """Return a number, or that of a matrix of one number."""
+    numbers = read_numbers(key, value) if isinstance(value, list | Mapping) else [read_number(key, value)]
+    if len(numbers) != 1:
+        raise CalibrationError(f"{key} holds {len(numbers)} numbers; it is one number")
+    return numbers[0]
+
+
+def _coefficient_lists(entries: Entries) -> list[tuple[str, tuple[float, ...]]]:
+    """Return the lists of coefficients with their keys."""
+    return [
         (key, tuple(read_numbers(key, value)))
         for name in entries
         if name in _COEFFICIENTS
         for key, value in entries[name]
         if value is not None and not isinstance(value, str)
     ]
+
+
+def _wide_lens(entries: Entries, model: str) -> Lens:
+    """Return a lens of two steps (omni), or of one whose coefficients are beside the camera matrix."""
+    first = _FIRST_STEP[model]
+    second = COEFFICIENTS[model][len(first) :]
+    named = [
+        (entries[name][0][0], _agreed([(key, _number(key, value)) for key, value in entries[name]]))
+        for name in first
+        if name in entries
+    ]
+    claims = [(named[0][0], tuple(number or 0.0 for _, number in named))] if len(named) == len(first) else []
+    for key, value in (entry for name in MATRIX_KEYS for entry in entries.get(name, ())):
+        if isinstance(value, list) and not any(isinstance(row, list) for row in value) and len(value) == 4 + len(first):
+            claims.append((key, tuple(read_numbers(key, value)[: len(first)])))
+    lists = []
+    for key, numbers in _coefficient_lists(entries):
+        count = len(numbers) if any(numbers[len(second) :]) else min(len(numbers), len(second))
+        if not second and len(numbers) == len(first):
+            claims.append((key, numbers))
+        elif count > len(second):
+            raise CalibrationError(
+                f"{key} holds {len(numbers)} numbers; a {model} lens has {', '.join(second) or 'none'}"
+            )
+        elif count:
+            lists.append((key, numbers[:count]))
+    coefficients = _agreed(claims)
+    if coefficients is None:
+        raise CalibrationError(
+            f"has no {' and '.join(name for name in first if name not in entries)}; a lens of the model {model} has"
+            f" {', '.join(COEFFICIENTS[model])} (of Kalibr, intrinsics: [{', '.join(first)}, fx, fy, cx, cy])"
+        )
+    listed, by_name = _agreed(lists), _coefficients_by_name(entries)
+    known = (
+        dict(zip(second, listed, strict=False))
+        if listed
+        else {name: by_name[name][1] for name in second if name in by_name}
+    )
+    _require_same(known, by_name, model)
+    return Lens(cast(LensModel, model), (*coefficients, *(known.get(name, 0.0) for name in second if known)))
+
+
+def _lens(entries: Entries, named: str | None, notes: list[str]) -> Lens | None:
+    """Return the lens of a file, of the named model; None for a pinhole."""
+    for key, value in entries.get("xi", ()):
+        if _number(key, value):
+            raise CalibrationError(
+                f"has {key} = {_number(key, value):g}, the mirror of an omnidirectional lens, and names the model"
+                f" {named}: they contradict each other; keep the key that describes the lens"
+            )
+    claims = _coefficient_lists(entries)
     # Empty lists say nothing.
     listed = _agreed([claim for claim in claims if claim[1]]) or ()
     by_name = _coefficients_by_name(entries)

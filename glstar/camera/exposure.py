@@ -44,10 +44,9 @@ class Exposure:
     rate_hz : float
         The minimum number of sub-exposures per second, for ``"sprites"``.
     trail : {"auto", "analytic", "sprites"}
-        How trails are drawn.  ``"analytic"``: integrated in closed form over a few segments per exposure, without
-        sampling ripple at any turn rate.  ``"sprites"``: summed from sub-exposures during which the stars do not move,
-        as in the paper.  ``"auto"``: analytic, unless the attitude log is so noisy that sprites are cheaper; see
-        `glstar.render.motion.segmentation.segment_times`.
+        How trails are drawn.  ``"analytic"``, or ``"auto"``: integrated in closed form over a few segments per
+        exposure, without sampling ripple at any turn rate.  ``"sprites"``: summed from sub-exposures during which the
+        stars do not move, as in the paper.
     readout_s : float
         Readout time of a rolling shutter, s: from the opening of the first row to that of the last; 0 for a global
         shutter.

@@ -10,16 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.arrays import Float
 from glstar.camera.distortion import Lens
-from glstar.errors import CalibrationError, RenderError
+from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_euler
 
 # Samples along each side of the image at which properties of a lens are evaluated.
 _SAMPLES_PER_SIDE = 65
-# Largest field angle that is drawn behind a lens: at 70 deg the undistorted plane is 2.7 focal lengths high.
-_MAX_DRAWN_RAD = np.deg2rad(70.0)
-# Step of finite differences in the undistorted plane, for first and second derivatives of the distortion.
-_STEP = 1e-6
-_SECOND_STEP = 1e-3
 
 # From axes forward (along the boresight), right, down to the camera's right, down, forward.
 _CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -87,6 +82,14 @@ class Camera:
         return self if self.lens is None else replace(self, lens=None)
 
     @property
+    def limit_rad(self) -> float:
+        """The angle from the optical axis from which on directions have no position, rad: 90 deg, or that of the lens.
+
+        A vector v has a position if v[2] > cos(limit_rad) * norm(v).
+        """
+        return np.pi / 2 if self.lens is None else self.lens.limit_rad
+
+    @property
     def field_radius_rad(self) -> float:
         """The largest angle between the optical axis and a point of the image, rad."""
         return _pinhole_field_radius_rad(self) if self.lens is None else _lens_field_radius_rad(self)
@@ -97,46 +100,27 @@ class Camera:
 
         If an end of the row lies outside the image circle, the field ends at the limit of the lens.
         """
-        ends = self.unproject([[-0.5, self.cy_px], [self.width_px - 0.5, self.cy_px]])[:, 0]
-        if self.lens is not None:
-            ends = np.where(np.isnan(ends), [-self.lens.limit, self.lens.limit], ends)
-        return float(np.arctan(ends[1]) - np.arctan(ends[0]))
-
-    @property
-    def is_drawable(self) -> bool:
-        """Whether the field is narrow enough to draw: behind a lens, up to 70 deg from the optical axis."""
-        return self.lens is None or self.field_radius_rad <= _MAX_DRAWN_RAD
-
-    @property
-    def max_magnification(self) -> float:
-        """Largest length of a short line anywhere on the image, over its length behind a pinhole; at least 1."""
-        return 1.0 if self.lens is None else _max_magnification(self)
-
-    @property
-    def max_curvature(self) -> float:
-        """Largest second derivative of the distortion over the image: how sharply it curves straight lines."""
-        return 0.0 if self.lens is None else _max_curvature(self)
+        row = [[-0.5, self.cy_px], [self.width_px - 0.5, self.cy_px]]
+        if self.lens is None:
+            left_rad, right_rad = np.arctan(self.normalized(row)[:, 0])
+        else:
+            x, _, z = self.unit_vectors(row).T
+            left_rad, right_rad = np.where(np.isnan(x), [-self.limit_rad, self.limit_rad], np.arctan2(x, z))
+        return float(right_rad - left_rad)
 
     @property
     def max_px_per_rad(self) -> float:
         """Upper bound of the image scale anywhere on the image, px/rad."""
-        return float(max(self.fx_px, self.fy_px) * self.max_magnification / np.cos(self.field_radius_rad) ** 2)
+        if self.lens is None:
+            return float(max(self.fx_px, self.fy_px) / np.cos(self.field_radius_rad) ** 2)
+        return _lens_scales_px_per_rad(self)[1]
 
-    def require_drawable(self) -> None:
-        """Reject a lens whose field is too wide to be drawn on a plane.
-
-        Raises
-        ------
-        RenderError
-            If a point of the image is more than 70 deg from the optical axis.
-        """
-        if not self.is_drawable:
-            assert self.lens is not None
-            raise RenderError(
-                f"the camera's {self.lens.model} lens sees {np.rad2deg(self.field_radius_rad):.1f} deg off its axis and"
-                f" glstar draws up to {np.rad2deg(_MAX_DRAWN_RAD):.0f}, because it draws an undistorted image first;"
-                " give the camera of a smaller part of the image (width_px, height_px, cx_px, cy_px)"
-            )
+    @property
+    def min_px_per_rad(self) -> float:
+        """Lower bound of the image scale anywhere on the image, px/rad; almost 0 where a lens ends on the image."""
+        if self.lens is None:
+            return min(self.fx_px, self.fy_px)
+        return _lens_scales_px_per_rad(self)[0]
 
     def project(self, direction_camera: ArrayLike) -> Float:
         """Return the pixel positions of directions.
@@ -158,23 +142,94 @@ class Camera:
         z = 0 is dropped too.
         """
         direction = np.asarray(direction_camera, dtype=np.float64)
-        z = np.where(direction[..., 2] > 1e-9, direction[..., 2], np.nan)
-        # All x are contiguous, and all y, because the code below and most callers process one of them at a time.
-        xy_px = np.empty((2, *z.shape))
-        x, y = xy_px[0, ...], xy_px[1, ...]
-        np.divide(direction[..., 0], z, out=x)
-        np.divide(direction[..., 1], z, out=y)
         if self.lens is not None:
-            x[...], y[...] = np.moveaxis(self.lens.distort(np.stack([x, y], axis=-1)), -1, 0)
-        x *= self.fx_px
+            return self._pixels(*np.moveaxis(self.lens.project(direction), -1, 0))
+        x, y, _ = _tangents(direction)
+        return self._pixels(x, y)
+
+    def project_with_rates(self, direction_camera: ArrayLike, rate: ArrayLike) -> tuple[Float, Float]:
+        """Return the pixel positions of directions and their rates.
+
+        Parameters
+        ----------
+        direction_camera : (..., 3) array_like
+            As for `project`.
+        rate : (..., 3) array_like
+            Derivatives of the vectors with respect to a parameter, such as time.
+
+        Returns
+        -------
+        xy_px : (..., 2) float64
+            As of `project`.
+        rate_px : (..., 2) float64
+            Derivatives of `xy_px`, px per unit of the parameter; NaN where `xy_px` is NaN.
+        """
+        direction, change = np.broadcast_arrays(
+            np.asarray(direction_camera, dtype=np.float64), np.asarray(rate, dtype=np.float64)
+        )
+        if self.lens is not None:
+            point, point_rate = self.lens.project_with_rates(direction, change)
+            (x, y), (x_rate, y_rate) = np.moveaxis(point, -1, 0), np.moveaxis(point_rate, -1, 0)
+        else:
+            x, y, z = _tangents(direction)
+            x_rate, y_rate = (change[..., 0] - x * change[..., 2]) / z, (change[..., 1] - y * change[..., 2]) / z
+        rate_px = np.stack([self.fx_px * x_rate + self.skew_px * y_rate, self.fy_px * y_rate], axis=-1)
+        return self._pixels(x, y), rate_px
+
+    def px_per_rad(self, direction_camera: ArrayLike) -> Float:
+        """Return the image scale at directions, along the radius and at right angles to it.
+
+        Parameters
+        ----------
+        direction_camera : (..., 3) array_like
+            Unit vectors in the camera frame.
+
+        Returns
+        -------
+        (..., 2, 2) float64
+            Derivatives of (x, y) with respect to an angle away from the optical axis, in the first column, and to an
+            angle at right angles to it, clockwise on the image, in the second, px/rad.  On the axis itself the first is
+            to the right.
+        """
+        direction = np.asarray(direction_camera, dtype=np.float64)
+        x, y, z = np.moveaxis(direction, -1, 0)
+        rho = np.hypot(x, y)
+        out_x, out_y = np.where(rho > 0, x / np.where(rho > 0, rho, 1.0), 1.0), y / np.where(rho > 0, rho, 1.0)
+        outwards = np.stack([z * out_x, z * out_y, -rho], axis=-1)
+        around = np.stack([-out_y, out_x, np.zeros_like(rho)], axis=-1)
+        return np.stack([self.project_with_rates(direction, turn)[1] for turn in (outwards, around)], axis=-1)
+
+    def _pixels(self, x: Float, y: Float) -> Float:
+        """Return the pixel positions of points of the normalized image plane."""
+        # All x are contiguous, and all y, because most callers process one of them at a time.
+        xy_px = np.empty((2, *np.shape(x)))
+        x_px, y_px = xy_px[0, ...], xy_px[1, ...]
+        np.multiply(x, self.fx_px, out=x_px)
         if self.skew_px:
-            x += self.skew_px * y
-        x += self.cx_px
-        y *= self.fy_px
-        y += self.cy_px
+            x_px += self.skew_px * y
+        x_px += self.cx_px
+        np.multiply(y, self.fy_px, out=y_px)
+        y_px += self.cy_px
         return xy_px.transpose(*range(1, xy_px.ndim), 0)
 
-    def unproject(self, xy_px: ArrayLike) -> Float:
+    def normalized(self, xy_px: ArrayLike) -> Float:
+        """Return the points of the normalized image plane: pixels multiplied by the inverse of the camera matrix.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) array_like
+            Positions (x, y), px.
+
+        Returns
+        -------
+        (..., 2) float64
+            Points behind the lens; for a pinhole, the tangents (X / Z, Y / Z) of directions.
+        """
+        xy = np.asarray(xy_px, dtype=np.float64)
+        y = (xy[..., 1] - self.cy_px) / self.fy_px
+        return np.stack([(xy[..., 0] - self.cx_px - self.skew_px * y) / self.fx_px, y], axis=-1)
+
+    def unit_vectors(self, xy_px: ArrayLike) -> Float:
         """Return the directions of pixel positions: the inverse of `project`.
 
         Parameters
@@ -185,29 +240,12 @@ class Camera:
         Returns
         -------
         (..., 3) float64
-            Vectors (x, y, 1) in the camera frame; NaN for positions that no direction within the lens's limit reaches.
+            Unit vectors in the camera frame; NaN for positions that no direction within `limit_rad` reaches.
         """
-        xy = np.asarray(xy_px, dtype=np.float64)
-        y = (xy[..., 1] - self.cy_px) / self.fy_px
-        x = (xy[..., 0] - self.cx_px - self.skew_px * y) / self.fx_px
+        points = self.normalized(xy_px)
         if self.lens is not None:
-            x, y = np.moveaxis(self.lens.undistort(np.stack([x, y], axis=-1)), -1, 0)
-        return np.stack([x, y, np.ones_like(x)], axis=-1)
-
-    def unit_vectors(self, xy_px: ArrayLike) -> Float:
-        """Return the directions of pixel positions as unit vectors.
-
-        Parameters
-        ----------
-        xy_px : (..., 2) array_like
-            Positions (x, y), px.
-
-        Returns
-        -------
-        (..., 3) float64
-            In the camera frame; NaN as of `unproject`.
-        """
-        rays = self.unproject(xy_px)
+            return self.lens.unproject(points)
+        rays = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
     def contains(self, xy_px: ArrayLike, margin_px: ArrayLike = 0.0) -> NDArray[np.bool_]:
@@ -245,6 +283,12 @@ class Camera:
         return np.maximum(beside_px, above_px)
 
 
+def _tangents(direction: Float) -> tuple[Float, Float, Float]:
+    """Return x / z, y / z and z of vectors (..., 3); NaN for those that are not in front of the camera."""
+    z = np.where(direction[..., 2] > 1e-9, direction[..., 2], np.nan)
+    return direction[..., 0] / z, direction[..., 1] / z, z
+
+
 # These are evaluated for every scene.
 @lru_cache(maxsize=64)
 def _pinhole_field_radius_rad(camera: Camera) -> float:
@@ -263,44 +307,24 @@ def _lens_field_radius_rad(camera: Camera) -> float:
     columns = np.linspace(-0.5, camera.width_px - 0.5, _SAMPLES_PER_SIDE)
     rows = np.linspace(-0.5, camera.height_px - 0.5, _SAMPLES_PER_SIDE)
     border = [[x, y] for x in columns for y in rows[[0, -1]]] + [[x, y] for x in columns[[0, -1]] for y in rows]
-    tangent = np.hypot(*np.moveaxis(camera.unproject(border)[:, :2], -1, 0))
-    assert camera.lens is not None
-    widest = camera.lens.limit if np.isnan(tangent).any() else float(tangent.max())
-    return float(np.arctan(widest))
+    x, y, z = camera.unit_vectors(border).T
+    angle_rad = np.arctan2(np.hypot(x, y), z)
+    return camera.limit_rad if np.isnan(angle_rad).any() else float(angle_rad.max())
 
 
 @lru_cache(maxsize=64)
-def _max_magnification(camera: Camera) -> float:
-    """Return the largest singular value of the Jacobian of the distortion over the image, at least 1."""
-    plane = _plane(camera)
-    lens = camera.lens
-    assert lens is not None
-    steps = _STEP * np.eye(2)[:, np.newaxis]
-    jacobian = np.moveaxis(lens.distort(plane + steps) - lens.distort(plane - steps), 0, -1) / (2 * _STEP)
-    jacobian = jacobian[np.isfinite(jacobian).all(axis=(1, 2))]
-    return float(np.linalg.norm(jacobian, ord=2, axis=(1, 2)).max(initial=1.0))
+def _lens_scales_px_per_rad(camera: Camera) -> tuple[float, float]:
+    """Return the smallest and the largest image scale behind a lens, over the image and in all directions, px/rad."""
+    scales = np.linalg.svd(camera.px_per_rad(_directions(camera)), compute_uv=False)
+    return float(scales.min()), float(scales.max())
 
 
-@lru_cache(maxsize=64)
-def _max_curvature(camera: Camera) -> float:
-    """Return the largest second derivative of the distortion over the image and over twelve directions."""
-    plane = _plane(camera)
-    lens = camera.lens
-    assert lens is not None
-    largest = 0.0
-    for angle_rad in np.arange(12) * np.pi / 12:
-        step = _SECOND_STEP * np.array([np.cos(angle_rad), np.sin(angle_rad)])
-        second = lens.distort(plane + step) - 2 * lens.distort(plane) + lens.distort(plane - step)
-        largest = max(largest, float(np.nanmax(np.hypot(second[:, 0], second[:, 1]))) / _SECOND_STEP**2)
-    return largest
-
-
-def _plane(camera: Camera) -> Float:
-    """Return undistorted points of a grid over the image, (n, 2)."""
+def _directions(camera: Camera) -> Float:
+    """Return the directions of a grid over the image, (n, 3) unit vectors, where it has one."""
     columns = np.linspace(-0.5, camera.width_px - 0.5, _SAMPLES_PER_SIDE)
     rows = np.linspace(-0.5, camera.height_px - 0.5, _SAMPLES_PER_SIDE)
-    points = camera.unproject(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))[:, :2]
-    return points[np.isfinite(points).all(axis=1)]
+    seen = camera.unit_vectors(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
+    return seen[np.isfinite(seen).all(axis=1)]
 
 
 @dataclass(frozen=True, slots=True)

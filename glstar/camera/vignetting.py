@@ -19,8 +19,6 @@ from glstar.camera.sensor.pixelpattern import read_map, smooth
 VignettingModel = Literal["none", "cos4", "polynomial", "flat"]
 
 VIGNETTINGS = ("none", "cos4", "polynomial", "flat")
-# Step of the finite differences of the distortion, tangents.
-_STEP = 1e-5
 # Terms of the polynomials that the shader evaluates: as many as the tolerance asks for.  With all, the largest relative
 # errors of stars are 3e-5 up to 60 deg off the axis and 5e-4 up to 70 deg; those of the sky are 1e-4 behind a lens.
 # Behind a pinhole cos^4 has three terms.
@@ -118,32 +116,23 @@ def image_grid(camera: Camera, columns: int, rows: int) -> Float:
 def relative_solid_angle(camera: Camera, xy_px: ArrayLike) -> Float:
     """Return the solid angle of pixels, (..., 2) px, over that of a pixel on the optical axis, (...).
 
-    It is cos^3 of the field angle for a pinhole, and 0 where the lens shows nothing.  The solid angle of an area of the
-    undistorted plane is cos^3 of it; the Jacobian of the distortion gives the area.
+    It is cos^3 of the field angle for a pinhole, and 0 where the lens shows nothing.
     """
-    ray = camera.unproject(xy_px)
-    solid_angle = _cosine_of(ray) ** 3
-    if camera.lens is not None:
-        solid_angle /= _magnification(camera, ray) / _magnification(camera, np.array([0.0, 0.0, 1.0]))
-    return np.asarray(np.where(np.isfinite(solid_angle), solid_angle, 0.0))
+    direction = camera.unit_vectors(xy_px)
+    if camera.lens is None:
+        return np.asarray(direction[..., 2] ** 3)
+    per_pixel = _px2_per_sr(camera, np.array([0.0, 0.0, 1.0])) / _px2_per_sr(camera, direction)
+    return np.asarray(np.where(np.isfinite(per_pixel), per_pixel, 0.0))
 
 
-def _magnification(camera: Camera, ray: Float) -> Float:
-    """Return the pixels per area of the undistorted plane at rays (x, y, 1)."""
-    step_x = np.array([_STEP, 0.0, 0.0])
-    step_y = np.array([0.0, _STEP, 0.0])
-    by_x = camera.project(ray + step_x) - camera.project(ray - step_x)
-    by_y = camera.project(ray + step_y) - camera.project(ray - step_y)
-    return np.asarray(np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]))
-
-
-def _cosine_of(ray: Float) -> Float:
-    return np.asarray(1 / np.linalg.norm(ray, axis=-1))
+def _px2_per_sr(camera: Camera, direction: Float) -> Float:
+    """Return the pixels per solid angle at unit vectors, (...)."""
+    return np.asarray(np.abs(np.linalg.det(camera.px_per_rad(direction))))
 
 
 def _cosine(camera: Camera, xy_px: Float) -> Float:
-    """Return the cosine of the field angle; 0 where the lens shows nothing."""
-    return np.nan_to_num(_cosine_of(camera.unproject(xy_px)))
+    """Return the cosine of the field angle; 0 where the lens shows nothing, and beyond 90 deg."""
+    return np.maximum(np.nan_to_num(camera.unit_vectors(xy_px)[..., 2]), 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -151,8 +140,7 @@ def _fit(vignetting: Vignetting, camera: Camera) -> FalloffFit:
     # To the outer edges of the image, so that no pixel is beyond the largest q.
     x, y = (np.linspace(-0.5, length - 0.5, _POINTS) for length in (camera.width_px, camera.height_px))
     xy = np.stack(np.meshgrid(x, y), axis=-1)
-    plane = camera.pinhole.unproject(xy)[..., :2]
-    q = (plane**2).sum(axis=-1).ravel()
+    q = (camera.normalized(xy) ** 2).sum(axis=-1).ravel()
     star = vignetting.of_stars(camera, xy).ravel()
     sky = vignetting.of_sky(camera, xy).ravel()
     seen = star > 0

@@ -225,6 +225,9 @@ class CameraSection(Section):
     distortion: list[float] | None = Field(
         default=None, max_length=14, description="a list of numbers, OpenCV's distortion coefficients in its order"
     )
+    max_angle_deg: float | None = Field(
+        default=None, gt=0, le=180, description="an angle of up to 180 deg from the optical axis"
+    )
     file: str | None = Field(default=None, min_length=1, description="the path of a calibration file, in quotes")
     camera: str | None = Field(
         default=None, min_length=1, description="the name of a camera in a file of several, in quotes"

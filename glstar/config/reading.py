@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import radians
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -213,9 +214,11 @@ def _lens(section: CameraSection, faults: list[Fault]) -> Lens | None:
         if section.distortion is not None:
             models = " or ".join(f'"{model}"' for model in get_args(LensModel))
             faults.append(("camera.lens", f"is missing beside distortion; it is {models}"))
+        if section.max_angle_deg is not None:
+            faults.append(("camera.max_angle_deg", "needs a lens"))
         return None
     try:
-        return Lens(section.lens, tuple(section.distortion or ()))
+        return Lens(section.lens, tuple(section.distortion or ()), radians(section.max_angle_deg or 180.0))
     except CalibrationError as error:
         faults.append(("camera.distortion", str(error)))
         return None

@@ -123,7 +123,7 @@ def rectify(image: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], Camera]:
     from_px = np.empty((camera.height_px, camera.width_px, 2), np.float32)
     for top in range(0, camera.height_px, _BLOCK_ROWS):
         rows, columns = np.mgrid[top : min(top + _BLOCK_ROWS, camera.height_px), : camera.width_px]
-        from_px[top : top + _BLOCK_ROWS] = camera.project(pinhole.unproject(np.stack([columns, rows], axis=-1)))
+        from_px[top : top + _BLOCK_ROWS] = camera.project(pinhole.unit_vectors(np.stack([columns, rows], axis=-1)))
     # Positions without an image are moved far outside of it, where remap returns 0.
     np.nan_to_num(from_px, copy=False, nan=-1e4)
     rectified = cv2.remap(image, from_px, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0)

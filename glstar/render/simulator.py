@@ -14,7 +14,7 @@ from glstar.flight import Flight
 from glstar.flight.gimbal import NO_GIMBAL, Gimbal
 from glstar.render.motion import trailmodels
 from glstar.render.motion.pointing import CameraMotion, MotionSamples, Pointing
-from glstar.render.motion.trailmodels import AnalyticSegments, SpriteCost, SubExposureRule, SubExposures, TrailModel
+from glstar.render.motion.trailmodels import SubExposureRule, SubExposures, TrailModel
 from glstar.render.readout.stacking import StackedListing, StackedTrails, union
 from glstar.render.scene.attenuation import Attenuation
 from glstar.render.scene.bodies import BodySources, body_field, star_sigma_rad
@@ -49,8 +49,6 @@ class Simulator:
     sensor : Sensor
     pressure_hpa, temperature_c : float
         The air at the aircraft.
-    sub_exposures_per_segment : float
-        Cost of an analytic segment relative to a sub-exposure, for ``trail = "auto"``.
     bodies : bool
         Whether the Sun, the Moon and the planets are drawn.
     earthshine : bool
@@ -71,7 +69,6 @@ class Simulator:
     sensor: Sensor
     pressure_hpa: float = STANDARD_PRESSURE_HPA
     temperature_c: float = STANDARD_TEMPERATURE_C
-    sub_exposures_per_segment: float = trailmodels.SUB_EXPOSURES_PER_SEGMENT
     bodies: bool = False
     earthshine: bool = False
     extinction: Extinction | None = None
@@ -202,8 +199,6 @@ class Simulator:
         ------
         TrackRangeError
             If the exposure begins before the flight's first attitude or ends after its last.
-        RenderError
-            If the field of view of the camera's lens is too wide to be drawn.
         ConfigError
             If the sum of short exposures does not fit into 16 bits.
 
@@ -214,7 +209,6 @@ class Simulator:
         that no part of it shows a sampling ripple.  Analytic trails have no sub-exposures: see
         `glstar.render.motion.segmentation`.
         """
-        self.camera.require_drawable()
         scene = self._stacked(exposure) if exposure.frames > 1 else self._single(exposure)
         if self.sky.satellites is None:
             return scene
@@ -229,12 +223,7 @@ class Simulator:
     def _single(self, exposure: Exposure) -> Scene:
         """Return the scene of one exposure, without satellites."""
         path = self._exposure_motion(exposure)
-        if exposure.trail != "sprites":
-            sprite_cost = SpriteCost(self._sub_exposure_rule(exposure), self.sub_exposures_per_segment)
-            segments = path.drawn_segments(None if exposure.trail == "analytic" else sprite_cost)
-            if segments is not None:
-                return self._from_segments(path, segments)
-        return self._from_sub_exposures(path)
+        return self._from_sub_exposures(path) if exposure.trail == "sprites" else self._from_segments(path)
 
     def _exposure_motion(self, exposure: Exposure) -> ExposureMotion:
         motion = self.motion
@@ -291,7 +280,8 @@ class Simulator:
             path.attenuation.dimmed_bodies(bodies, part),
         )
 
-    def _from_segments(self, path: ExposureMotion, segments: AnalyticSegments) -> Scene:
+    def _from_segments(self, path: ExposureMotion) -> Scene:
+        segments = path.drawn_segments
         draw_list = path.touching_along(segments).integrated(path.exposure.faintest_dn)
         step_fraction = path.half_fractions(segments)
         bodies, _ = self._body_sources(path, path.shutter.site, segments.pointing, step_fraction, analytic=True)

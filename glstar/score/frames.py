@@ -238,7 +238,9 @@ def _camera(keys: Mapping[str, Any]) -> Camera:
         cx_px=K[0, 2],
         cy_px=K[1, 2],
         skew_px=K[0, 1],
-        lens=None if lens == "none" else Lens(lens, tuple(keys["distortion"])),
+        lens=None
+        if lens == "none"
+        else Lens(lens, tuple(keys["distortion"]), float(np.deg2rad(keys.get("max_angle_deg", 180.0)))),
     )
 
 

@@ -132,7 +132,7 @@ def found(renderer: GLRenderer, hidden: Camera, seed: int, start: str) -> tuple[
         return ("", str(error), *[""] * 5)
     took_s = time.process_time() - began_s
     grid = np.stack(np.meshgrid(np.linspace(0, 1279, 33), np.linspace(0, 959, 25)), axis=-1).reshape(-1, 2)
-    sky = hidden.unproject(grid) @ C_camera_eq
+    sky = hidden.unit_vectors(grid) @ C_camera_eq
     off_px = np.linalg.norm(fit.camera.project(sky @ fit.matches.solution.C_camera_eq.T) - grid, axis=1)
     return (
         str(len(fit.matches)),

@@ -44,7 +44,7 @@ def rays(camera: Camera) -> np.ndarray:
     """Return the rays of nine points in each pixel."""
     inside = (np.arange(3) + 0.5) / 3 - 0.5
     xs, ys = ((np.arange(side)[:, np.newaxis] + inside).ravel() for side in (camera.width_px, camera.height_px))
-    return camera.unproject(np.stack(np.meshgrid(xs, ys), axis=-1))
+    return camera.unit_vectors(np.stack(np.meshgrid(xs, ys), axis=-1))
 
 
 def photograph(ray: np.ndarray, sheet: np.ndarray, origin_px: np.ndarray, middle_mm, pose) -> np.ndarray:
@@ -82,7 +82,7 @@ def run(*arguments: str | Path):
 def largest_difference_px(found: Camera, true: Camera) -> float:
     """Return the largest difference of two cameras' projections, in the central nine tenths of the image, px."""
     grid = np.stack(np.meshgrid(np.linspace(32, 608, 20), np.linspace(24, 456, 20)), axis=-1)
-    return float(np.linalg.norm(found.project(true.unproject(grid)) - grid, axis=-1).max())
+    return float(np.linalg.norm(found.project(true.unit_vectors(grid)) - grid, axis=-1).max())
 
 
 def test_the_camera_is_recovered_from_chessboards(chessboards: list[Path]) -> None:

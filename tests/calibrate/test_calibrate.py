@@ -716,7 +716,7 @@ def test_real_photographs_with_half_of_the_sky_hidden_are_recognised(
     assert matches.rms_px < 0.5
     assert matches.solution.camera.fx_px == pytest.approx(f_px, rel=0.005)
     if radec_deg is not None:
-        axis = matches.solution.camera.unproject([(width - 1) / 2, (height - 1) / 2])
+        axis = matches.solution.camera.unit_vectors([(width - 1) / 2, (height - 1) / 2])
         ra_rad, dec_rad = right_ascension_declination(axis @ matches.solution.C_camera_eq @ reference.stars.C_eq_icrs)
         np.testing.assert_allclose(np.rad2deg([ra_rad, dec_rad]), radec_deg, rtol=0, atol=0.15)  # deg
 

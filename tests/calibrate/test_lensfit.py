@@ -65,7 +65,7 @@ class Photo:
     def labels_off_px(self, fit) -> np.ndarray:
         """Return the differences between the projections of the hidden and the fitted camera over the image, px."""
         grid = np.stack(np.meshgrid(np.linspace(0, 1279, 21), np.linspace(0, 959, 16)), axis=-1).reshape(-1, 2)
-        sky = self.camera.unproject(grid) @ self.C_camera_eq
+        sky = self.camera.unit_vectors(grid) @ self.C_camera_eq
         return np.linalg.norm(fit.camera.project(sky @ fit.matches.solution.C_camera_eq.T) - grid, axis=1)
 
 

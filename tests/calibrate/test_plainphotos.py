@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from glstar.calibrate.geometry.lensfit import fit_lens
 from glstar.calibrate.identify.lost import identify_lost
-from glstar.calibrate.identify.platesolution import Matches, PlateSolution, sidereal_trails
+from glstar.calibrate.identify.platesolution import Matches, PlateSolution, nominal_camera, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars, detect_stars
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.distortion import Lens
@@ -92,8 +92,30 @@ def test_an_all_sky_image_gets_a_fisheye_and_no_pinhole() -> None:
     assert len(matches) > 800
     assert np.median(np.linalg.norm(matches.residual_px, axis=1)) < 0.36  # px
     assert (photo.off_px(matches) > 3).mean() < 0.005
-    assert not camera.is_drawable
-    assert np.rad2deg(camera.horizontal_field_rad) == pytest.approx(180, abs=0.1)
+    assert np.rad2deg(camera.limit_rad) == pytest.approx(90, abs=0.5)  # where stars end
+    assert np.rad2deg(camera.horizontal_field_rad) == pytest.approx(180, abs=1)
+
+
+@pytest.mark.parametrize(("across_deg", "fov_deg"), [(200.0, 185.0), (220.0, 230.0)])
+def test_an_image_of_more_than_a_hemisphere_is_solved_beyond_90_deg(across_deg: float, fov_deg: float) -> None:
+    photo = all_sky(across_deg=across_deg)
+    detected = detect_stars(photo.image)
+    height, width = photo.image.pixels_dn.shape
+    nominal = nominal_camera(width, height, np.deg2rad(fov_deg))
+
+    matches = fit_lens(detected, REFERENCE, identify_lost(detected, REFERENCE, ALL_STARS, nominal))
+
+    camera = matches.solution.camera
+    assert camera.lens is not None
+    assert camera.lens.model == "fisheye"
+    assert camera.fx_px == pytest.approx(496 / np.deg2rad(across_deg / 2), rel=2e-4)
+    assert np.rad2deg(camera.limit_rad) == pytest.approx(across_deg / 2, abs=0.5)  # where stars end
+    assert len(matches) > 900
+    off_px = np.nan_to_num(photo.off_px(matches), nan=np.inf)  # NaN: outside the image circle
+    assert (off_px > 3).mean() < 0.005
+    behind = REFERENCE.stars.direction_eq[matches.star] @ photo.C_camera_eq[2] < 0
+    assert behind.sum() > 150
+    assert np.median(off_px[behind]) < 0.1
 
 
 @pytest.mark.parametrize("lens", ["none", "plumb_bob", "rational"])

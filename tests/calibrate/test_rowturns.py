@@ -29,8 +29,8 @@ def test_a_star_is_where_the_open_row_meets_it(readout: Readout, *, mirrored: bo
     C_ned_eq, C_camera_body = about_z(1.1), matrix_from_quaternion(quaternion_from_turn(np.array([0.4, -0.3, 0.2])))
     C_camera_eq = C_camera_body @ matrix_from_quaternion(track.at([MID_S]))[0] @ C_ned_eq
     solution = PlateSolution(CAMERA, C_camera_eq, mirrored)
-    rays = CAMERA.unproject(np.array([[30.0, 20.0], [200.0, 150.0], [350.0, 40.0], [80.0, 270.0]]))
-    apparent = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ C_camera_eq
+    rays = CAMERA.unit_vectors(np.array([[30.0, 20.0], [200.0, 150.0], [350.0, 40.0], [80.0, 270.0]]))
+    apparent = rays @ C_camera_eq
     found = solution.placed(apparent, RowTurns(track, MID_S, C_ned_eq, readout_s, readout))
 
     share = np.linspace(0, 1, 200_001)

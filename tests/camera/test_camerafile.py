@@ -280,6 +280,10 @@ def test_the_fisheye_key_of_an_opencv_file_is_read(tmp_path: Path) -> None:
         Lens("rational", (0.3, 0.1, 1e-3, -2e-3, 0.02, 0.6, 0.2, 0.03)),
         Lens("rational", tuple(0.001 * k for k in range(1, 15))),
         Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4)),
+        Lens("omni", (1.25, -0.1, 0.02, 1e-3, -2e-3)),
+        Lens("double_sphere", (-0.172, 0.593)),
+        Lens("eucm", (0.58, 1.08)),
+        Lens("fisheye", (-0.02, 0.003, 0.0, 0.0), float(np.deg2rad(95.0))),
     ],
     ids=str,
 )
@@ -308,8 +312,8 @@ def test_a_lens_of_an_unknown_model_is_refused_with_its_name(tmp_path: Path) -> 
     path = write(tmp_path / "camchain.yaml", KALIBR.replace("radtan", "fov"))
 
     assert refusal(path) == (
-        "has a lens of the model fov (cam0.distortion_model); glstar knows plumb_bob (radtan), rational_polynomial and"
-        " fisheye (equidistant): calibrate with one of these, or rectify the images"
+        "has a lens of the model fov (cam0.distortion_model); glstar knows plumb_bob (radtan), rational_polynomial,"
+        " fisheye (equidistant), omni, double_sphere (ds) and eucm: calibrate with one of these, or rectify the images"
     )
 
 
@@ -335,11 +339,15 @@ def test_a_camchain_without_resolution_says_how_to_give_it(tmp_path: Path) -> No
     assert "resolution: [width, height]" in refusal(path)
 
 
-@pytest.mark.parametrize("model", ["omni", "eucm", "ds"])
-def test_a_camchain_of_another_camera_model_is_refused(tmp_path: Path, model: str) -> None:
+@pytest.mark.parametrize(
+    ("model", "missing"), [("omni", "has no xi;"), ("eucm", "has no alpha and beta;"), ("ds", "has no xi and alpha;")]
+)
+def test_a_camchain_of_a_wide_lens_without_its_coefficients_is_refused(
+    tmp_path: Path, model: str, missing: str
+) -> None:
     path = write(tmp_path / "camchain.yaml", KALIBR.replace("pinhole", model))
 
-    assert f"has a lens of the model {model} (cam0.camera_model); glstar knows plumb_bob" in refusal(path)
+    assert missing in refusal(path)
 
 
 def test_a_camchain_of_two_cameras_is_refused_without_a_name(tmp_path: Path) -> None:
@@ -660,13 +668,14 @@ def test_camera_files_of_other_programs_are_read(tmp_path: Path, text: str, expe
     assert camera.lens.model == expected.lens.model
     assert [k for k in camera.lens.coefficients if k] == list(expected.lens.coefficients)
     grid = np.stack(np.meshgrid(np.linspace(0, 751, 5), np.linspace(0, 479, 5)), axis=-1)
-    np.testing.assert_allclose(camera.unproject(grid), expected.unproject(grid), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(camera.unit_vectors(grid), expected.unit_vectors(grid), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (VINS.replace("PINHOLE", "MEI"), "has a lens of the model MEI (model_type); glstar knows plumb_bob"),
+        (VINS.replace("PINHOLE", "SCARAMUZZA"), "has a lens of the model SCARAMUZZA (model_type); glstar knows plumb"),
+        (VINS.replace("PINHOLE", "MEI"), "has no xi; a lens of the model omni has xi, k1, k2, p1, p2"),
         (VINS.replace("   fy: 457.296\n", ""), "has no fy; a camera has fx, fy, cx and cy"),
         (ORB_SLAM2.replace("Camera.cx: 367.215\n", ""), "has no cx; a camera has fx, fy, cx and cy"),
         (ORB_SLAM2.replace("Camera.width: 752\n", ""), "does not give the image size"),

@@ -18,8 +18,7 @@ FISHEYE = Camera(800, 600, 500.0, 500.0, 399.5, 299.5, lens=Lens("fisheye", (0.0
 
 def test_behind_a_pinhole_the_sky_falls_as_cos_4_and_stars_as_cos() -> None:
     xy = image_grid(HQ, 9, 7)
-    ray = HQ.unproject(xy)
-    cosine = ray[..., 2] / np.linalg.norm(ray, axis=-1)
+    cosine = HQ.unit_vectors(xy)[..., 2]
     cos4 = Vignetting("cos4")
 
     np.testing.assert_allclose(cos4.of_sky(HQ, xy), cosine**4, rtol=1e-12)
@@ -33,7 +32,7 @@ def test_the_solid_angle_is_that_of_the_spherical_quadrilateral_of_a_pixel() -> 
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
     def solid_angle(xy: np.ndarray) -> float:
-        a, b, c, d = (ray / np.linalg.norm(ray) for ray in FISHEYE.unproject(xy + corners))
+        a, b, c, d = FISHEYE.unit_vectors(xy + corners)
 
         def triangle(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> float:  # van Oosterom & Strackee 1983
             return float(2 * np.arctan2(abs(u @ np.cross(v, w)), 1 + u @ v + v @ w + w @ u))
@@ -72,8 +71,7 @@ def test_a_flat_field_is_smoothed_and_normalised_to_the_axis(tmp_path: Path) -> 
 def test_the_polynomials_of_the_shader_fit_the_formulas(camera: Camera, vignetting: Vignetting) -> None:
     fit = vignetting.fit(camera)
     xy = image_grid(camera, 33, 25)
-    plane = camera.pinhole.unproject(xy)[..., :2]
-    u = (plane**2).sum(axis=-1) / fit.largest_q
+    u = (camera.normalized(xy) ** 2).sum(axis=-1) / fit.largest_q
     w = (1 + fit.bend) * u / (1 + fit.bend * u)
 
     star, sky = (np.polynomial.polynomial.polyval(w, coefficients) for coefficients in (fit.star, fit.sky))

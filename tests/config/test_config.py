@@ -390,7 +390,7 @@ def test_a_lens_in_numbers_is_written_and_read_back(write: Write) -> None:
 @pytest.mark.parametrize(
     ("given", "instead", "words"),
     [
-        ('"plumb_bob"', '"plumbob"', 'or "rational" or "fisheye", not "plumbob" (did you mean "plumb_bob"?)'),
+        ('"plumb_bob"', '"plumbob"', 'or "eucm" or "omni", not "plumbob" (did you mean "plumb_bob"?)'),
         ('lens = "plumb_bob"\n', "", 'camera.lens: is missing beside distortion; it is "plumb_bob" or "rational" or'),
         ('"plumb_bob"', '"fisheye"', None),
         ("1e-5, 0]", "1e-5, 0, 0, 0]", "camera.distortion: 6 distortion coefficients are too many for plumb_bob: k1,"),

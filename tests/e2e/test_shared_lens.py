@@ -64,9 +64,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def off_px(camera: Camera) -> float:
     """Return the largest distance between the hidden camera's positions and another's, attitudes aligned, px."""
     grid = np.stack(np.meshgrid(np.linspace(0, 799, 17), np.linspace(0, 599, 13)), axis=-1).reshape(-1, 2)
-    true, found = (
-        rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (HIDDEN.unproject(grid), camera.unproject(grid))
-    )
+    true, found = HIDDEN.unit_vectors(grid), camera.unit_vectors(grid)
     U, _, Vt = np.linalg.svd(found.T @ true)
     C = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
     return float(np.linalg.norm(camera.project(true @ C.T) - grid, axis=1).max())

@@ -57,8 +57,8 @@ def exported(directory: Path, camera: Camera) -> tuple[Path, dict]:
 
 
 def left_to_right_deg(camera: Camera) -> float:
-    ends = camera.unproject([[-0.5, camera.cy_px], [camera.width_px - 0.5, camera.cy_px]])
-    return float(np.rad2deg(np.arctan(np.abs(ends[:, 0])).sum()))
+    ends = camera.unit_vectors([[-0.5, camera.cy_px], [camera.width_px - 0.5, camera.cy_px]])
+    return float(np.rad2deg(np.arctan2(np.abs(ends[:, 0]), ends[:, 2]).sum()))
 
 
 @pytest.mark.parametrize("model", WIDE)
@@ -82,7 +82,7 @@ def test_the_camera_of_a_wide_lens_is_recovered_to_the_corners(tmp_path, monkeyp
     assert camera.fx_px == pytest.approx(hidden.fx_px, rel=1e-3)
     # Both cameras project every direction to the same pixel, up to the corners of the image.
     grid = np.stack(np.meshgrid(np.linspace(0, 999, 21), np.linspace(0, 749, 16)), axis=-1).reshape(-1, 2)
-    icrs = hidden.unproject(grid) @ np.array(truth["C_camera_icrs"])
+    icrs = hidden.unit_vectors(grid) @ np.array(truth["C_camera_icrs"])
     off_px = np.linalg.norm(camera.project(icrs @ np.array(found["C_camera_icrs"]).T) - grid, axis=1)
     assert np.median(off_px) < 0.02
     assert off_px.max() < 0.2

@@ -42,8 +42,9 @@ def detect(image):
 def identify(middle_px, camera, catalogue):
     """Return a rough rotation from ICRS to the camera from the pattern of the brightest trails; None if unknown."""
     patterns = pattern_database(catalogue, camera.horizontal_field_rad)
-    rays = camera.unproject(middle_px)[:, :2]  # without the lens
-    undistorted_px = np.column_stack([camera.fx_px * rays, -np.arange(len(rays))])
+    x, y, z = camera.unit_vectors(middle_px).T
+    # Without the lens.
+    undistorted_px = np.column_stack([camera.fx_px * x / z, camera.fx_px * y / z, -np.arange(len(z))])
     for count in (BRIGHTEST, BRIGHTEST // 2, 2 * BRIGHTEST):
         found = patterns.solve_from_centroids(
             undistorted_px[:count],
@@ -93,9 +94,8 @@ def attitude(middle_px, camera, C_rough, catalogue, u_gcrs, up_camera):
         if len(matched) < LEAST_STARS:
             return None
         stars = on_image[nearest[matched]]
-        rays = camera.unproject(middle_px[matched])
+        rays = camera.unit_vectors(middle_px[matched])
         # The fit turns stars as they are seen, so that refraction and aberration are not part of the attitude.
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         C = fitted_rotation(seen[stars], rays) @ C
     rms_px = float(np.sqrt(np.mean(distance_px[matched] ** 2)))
     by_chance = len(middle_px) * len(on_image) * np.pi * MATCH_PX**2 / (camera.width_px * camera.height_px)
@@ -130,8 +130,7 @@ def is_even(middle_px, off_px, camera):
     """
     used = np.ones(len(middle_px), dtype=bool)
     for _ in range(3):
-        rays = [camera.unproject(points_px) for points_px in (middle_px, middle_px + off_px)]
-        rays = [one / np.linalg.norm(one, axis=1, keepdims=True) for one in rays]
+        rays = [camera.unit_vectors(points_px) for points_px in (middle_px, middle_px + off_px)]
         turned = rays[0] @ fitted_rotation(rays[0][used], rays[1][used]).T
         residual_px = camera.fx_px * np.linalg.norm(rays[1] - turned, axis=1)
         used = residual_px <= 3 * np.median(residual_px)  # without trails of two stars

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.export.imagefiles.fits import damage_of_fits, decode_fits, encode_fits, fit_tan_sip
+from glstar.export.imagefiles.fits import damage_of_fits, decode_fits, encode_fits, fit_sip
 from glstar.export.imagefiles.formats import find_damage
 from glstar.render.readout.rows import recorded_times
 from glstar.render.scene.scene import Frame, Scene
@@ -72,6 +72,23 @@ def test_astropy_places_every_star_of_a_fits_image_within_a_twentieth_of_a_pixel
     assert errors.max() < 0.05
 
 
+@pytest.mark.parametrize(
+    "lens",
+    [
+        replace(camera(480, 360, 300.0), lens=Lens("plumb_bob", (-0.28, 0.07, 1e-3, -5e-4, 0.0))),  # to 54 deg
+        replace(camera(480, 360, 286.0), lens=Lens("fisheye", (-0.02, 0.003))),  # to 61 deg
+        replace(camera(480, 360, 460.0), lens=Lens("omni", (0.9, -0.1, 0.02, 1e-3, -2e-3))),
+    ],
+    ids=["barrel", "fisheye", "omni"],
+)
+def test_astropy_inverts_the_coordinates_of_a_wide_lens(lens):
+    scene, catalogue = scene_of(lens)
+    header = fits.getheader(BytesIO(encoded(scene)))
+    assert header["CTYPE1"] == "RA---ZPN-SIP"
+    assert errors_px(scene, catalogue, header).max() < 0.01
+    assert header["WCSMAX"] < 0.01
+
+
 @pytest.mark.parametrize("lens", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
 @pytest.mark.parametrize("readout", ["down", "left"])
 def test_astropy_places_the_stars_of_a_rolling_shutter_where_their_rows_record_them(lens, readout):
@@ -103,7 +120,7 @@ def test_an_image_with_the_horizon_quotes_its_larger_error():
 
 def test_an_image_without_sky_has_no_world_coordinates():
     scene, _ = scene_of(mount=Mount(0.0, np.deg2rad(-80), 0.0))
-    assert fit_tan_sip(scene) is None
+    assert fit_sip(scene) is None
     with fits.open(BytesIO(encoded(scene))) as file:
         assert "CTYPE1" not in file[0].header
 

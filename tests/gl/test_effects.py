@@ -69,8 +69,8 @@ def test_a_pane_of_glass_passes_what_fresnels_equations_say(draw: Draw, context:
     with GLRenderer(context) as renderer:
         light_dn = renderer.render(scene, seed=5, light=True).light_dn
     x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
-    ray = scene.camera.unproject(np.stack([x, y], axis=-1))
-    outside_rad = np.arccos(1 / np.linalg.norm(ray, axis=-1))
+    ray = scene.camera.unit_vectors(np.stack([x, y], axis=-1))
+    outside_rad = np.arccos(ray[..., 2])
     inside_rad = np.arcsin(np.sin(outside_rad) / 1.5)
     # Of a face, by the sum and difference of the angles (Hecht, Optics, equations 4.42 and 4.43); on the axis 4 %.
     with np.errstate(invalid="ignore"):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import orjson
 import pytest
 
 from glstar.camera.distortion import Lens
@@ -14,6 +15,7 @@ from glstar.config.reading import extinction_of
 from glstar.errors import ConfigError
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import colours_used, in_band
+from glstar.render.truth.frame import frame_truth
 from glstar.sky.air.extinction import Extinction
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
 
@@ -173,3 +175,13 @@ def test_a_trail_in_a_mosaic_is_that_of_each_colour_in_its_own_pixels(renderer, 
         of_colour = ratio(bv, channel) / mean * expected[cells]
         assert of_colour.max() > 0
         assert np.abs(drawn[cells] - of_colour).max() < 2e-3 * of_colour.max()
+
+
+@pytest.mark.parametrize("bv", [-0.2, 0.6, 1.6])
+def test_the_flux_of_truth_is_that_of_the_mean_of_the_cells(renderer, bv):
+    sensor = sensor_with(band="imx477", mosaic="rggb")
+    scene = star_of_colour(bv, sensor)
+    frame = renderer.render(scene, seed=0, light=True)
+    (star,) = orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
+    # The cells beside each other sample the star at other phases, which makes no difference at this width.
+    assert star["flux_dn"] == pytest.approx(float(frame.light_dn.sum(dtype=np.float64)), rel=1e-3)

@@ -285,7 +285,7 @@ def test_wings_too_wide_to_be_drawn_are_refused_by_the_name_of_their_key(context
     lens = replace(camera(161, 121, 400.0), lens=Lens("plumb_bob", (1e-7,)))
     sensor = sensor_with(0.2, psf_wing_fraction=0.3, psf_wing_sigma_px=40.0)
     scene = stars_at([(80.2, 60.4)], [3.0], sensor=sensor, lens=lens, n=4)
-    with pytest.raises(RenderError, match=r"sensor.psf_wing_sigma_px = 40 requires sprites of \d+ px .*it may be 14.2"):
+    with pytest.raises(RenderError, match=r"sensor.psf_wing_sigma_px = 40 requires sprites of \d+ px .*it may be 36.4"):
         renderer.render(scene, seed=0)
-    allowed = replace(scene, sensor=sensor_with(0.2, psf_wing_fraction=0.3, psf_wing_sigma_px=14.2))
+    allowed = replace(scene, sensor=sensor_with(0.2, psf_wing_fraction=0.3, psf_wing_sigma_px=36.4))
     assert renderer.render(allowed, seed=0).pixels.max() > 1000

@@ -77,7 +77,8 @@ def compile_all_programs(context: moderngl.Context) -> None:
                 for trail in ("analytic", "sprites"):
                     draw(renderer, lens, Sensor(psf_sigma_px=sigma_px), trail, Exposure(LATER_S, 0.1, readout_s=0.05))
             # Long trails, whose ends are drawn on their own.
-            draw(renderer, lens, Sensor(), "analytic", Exposure(LATER_S, 0.5, readout_s=0.05), rate_rad_per_s=0.8)
+            narrow, rolling = Sensor(psf_sigma_px=0.6), Exposure(LATER_S, 0.5, readout_s=0.05)
+            draw(renderer, lens, narrow, "analytic", rolling, rate_rad_per_s=0.8)
     for shrinks in (0, 1, 2):
         for compares in (0, 1):
             made = program.linked(context, "whole_image.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)

@@ -13,7 +13,7 @@ from glstar.camera.sensor.pointspread import TRUNCATION_DN
 from glstar.config import Config
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.opengl.passes import trail as trailpass
-from glstar.render.opengl.textures import pinhole_clock
+from glstar.render.opengl.textures import readout_clock
 from glstar.system.resources import asset
 from tests.scripts.random_trails import FREE_PIECES, Variant, drawn_in_pieces, random_trial, worst_pixel
 
@@ -31,9 +31,9 @@ def test_no_pixel_of_a_random_trail_in_pieces_is_half_a_percent_of_the_local_max
         fractions = {seed: worst_pixel(renderer, trial).fraction for seed, trial in trials.items()}
     assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
     scenes = [trial.simulator.scene(trial.exposure) for trial in trials.values()]
-    clocks = [pinhole_clock(scene.exposure, scene.camera, 0) for scene in scenes]
+    clocks = [readout_clock(scene.exposure, scene.camera, 0) for scene in scenes]
     divided = [
-        trailpass.in_pieces(scene, scene.trails, FREE_PIECES, openings=clock.openings(0, 1.0))
+        trailpass.in_pieces(scene, scene.trails, FREE_PIECES, openings=clock.openings(0))
         for scene, clock in zip(scenes, clocks, strict=True)
     ]
     assert sum(one is not None and len(one.parts[0].scene.draw_list) > 0 for one in divided) > 2

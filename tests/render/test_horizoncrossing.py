@@ -8,6 +8,7 @@ from glstar.render.motion.pointing import Pointing
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.occlusion import NEVER, rise_and_set
 from glstar.sky.air.refraction import refraction_displacement, refraction_scale
+from tests.support.scenes import camera
 
 EARTH_RAD_PER_S = 7.292115e-5
 LATITUDE_RAD = np.deg2rad(-35.0)
@@ -53,7 +54,7 @@ def star(azimuth_rad, sine_apparent_altitude, time_s, scale=SCALE):
 @pytest.mark.parametrize("crosses_s", [0.17, 0.99, 1.05, 3.7, 41.0])
 def test_a_star_rises_in_the_east_and_sets_in_the_west_at_the_exact_time(crosses_s, azimuth_deg, sine_horizon):
     direction = star(np.deg2rad(azimuth_deg), sine_horizon, crosses_s)
-    ((rises, sets),) = rise_and_set(segments(sine_horizon=sine_horizon), direction[np.newaxis]) * ENDS_S[-1]
+    ((rises, sets),) = rise_and_set(segments(sine_horizon=sine_horizon), direction[np.newaxis], camera()) * ENDS_S[-1]
     # Refraction is a rational function, and a segment's heights a quadratic: 2.5 ms in the segment of 55 s, in which a
     # camera that does not turn sees the star move by 0.0002 px at f = 1000 px.
     tolerance_s = 3e-3 if crosses_s > 5.0 else 2e-6
@@ -69,7 +70,7 @@ def test_stars_that_stay_above_or_below_the_horizon_do_not_cross_it():
     heights = [0.3, 0.01, 0.005, -0.005, -0.01, -0.3]
     directions = np.array([star(np.deg2rad(90.0), h, 0.0) if abs(h) < 0.02 else h * zenith(0.0) for h in heights])
     expected = [[0.0, NEVER]] * 3 + [[NEVER, NEVER]] * 3
-    np.testing.assert_array_equal(rise_and_set(segments(), directions), expected)
+    np.testing.assert_array_equal(rise_and_set(segments(), directions, camera()), expected)
 
 
 def test_a_star_that_sets_and_rises_again_has_both_times():
@@ -80,5 +81,5 @@ def test_a_star_that_sets_and_rises_again_has_both_times():
     direction = np.append(np.cos(declination) * south, np.sin(declination))
     # Without refraction, hour angles of half a turn from the crossing are known in closed form.
     half_s = np.arccos(np.tan(LATITUDE_RAD) * np.tan(declination)) / EARTH_RAD_PER_S
-    ((rises, sets),) = rise_and_set(segments(ends_s, scale=0.0), direction[np.newaxis]) * ends_s[-1]
+    ((rises, sets),) = rise_and_set(segments(ends_s, scale=0.0), direction[np.newaxis], camera()) * ends_s[-1]
     assert [sets, rises] == pytest.approx([3600.0 - half_s, 3600.0 + half_s], rel=0, abs=0.1)

@@ -45,7 +45,7 @@ def test_a_slow_exposure_needs_no_more_parts_than_the_log_has_intervals():
 def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():
     scene = rough(50.0).scene(EXPOSURE)
     middle = len(scene.trails)
-    directions_eq = LENS.unproject(CORNERS_AND_MORE) @ scene.trails.pointing.C_camera_eq[middle]
+    directions_eq = LENS.unit_vectors(CORNERS_AND_MORE) @ scene.trails.pointing.C_camera_eq[middle]
     directions_eq /= np.linalg.norm(directions_eq, axis=1, keepdims=True)
     begin, end = np.random.default_rng(2).uniform([[0.0], [0.5]], [[0.5], [1.0]], (2, len(directions_eq)))
     end[0] = begin[0] + 1e-3

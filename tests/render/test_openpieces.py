@@ -24,7 +24,7 @@ def openings_of(exposure: Exposure) -> PixelOpenings:
         order = xy_px[:, axis] if exposure.readout in {"down", "right"} else count - 1 - xy_px[:, axis]
         return per_px * order
 
-    return PixelOpenings(exposure.duration_s / exposure.span_s, per_px, 1.0, at)
+    return PixelOpenings(exposure.duration_s / exposure.span_s, per_px, at)
 
 
 def covered_by(ends, star: int, time: np.ndarray) -> np.ndarray:

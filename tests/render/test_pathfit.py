@@ -45,7 +45,7 @@ def paths_px(simulator: Simulator, scene: Scene, times: int = 1501) -> tuple[np.
     """Return true and drawn positions, (times, k, 2) px each, evenly from the first row's opening to the last's end."""
     time = np.linspace(0.0, 1.0, times)
     pointing = simulator.pointing(EXPOSURE.start_utc_s + time * scene.exposure.span_s)
-    directions = LENS.unproject(CORNERS_AND_MORE) @ pointing.C_camera_eq[times // 2]
+    directions = LENS.unit_vectors(CORNERS_AND_MORE) @ pointing.C_camera_eq[times // 2]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return LENS.project(pointing.to_camera(directions)), scene.positions(directions, time)
 
@@ -158,7 +158,7 @@ def test_a_long_exposure_is_fitted_in_blocks():
     scene = simulator.scene(exposure)
     time = np.linspace(0.0, 1.0, 2001)
     pointing = simulator.pointing(exposure.start_utc_s + time * exposure.duration_s)
-    directions = LENS.unproject([(500, 300), (100, 100)]) @ pointing.C_camera_eq[1000]
+    directions = LENS.unit_vectors([(500, 300), (100, 100)]) @ pointing.C_camera_eq[1000]
     true = LENS.project(pointing.to_camera(directions))
     assert np.linalg.norm(scene.positions(directions, time) - true, axis=-1).max() <= 0.011
 

@@ -13,7 +13,6 @@ from scipy.stats import norm
 
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2
 from glstar.render.motion import segmentation
-from glstar.render.opengl.passes import lensdistortion as distortionpass
 from glstar.render.opengl.passes import path as pathpass
 from glstar.sky.air import refraction
 from glstar.sky.air.refraction import LOWEST_ALTITUDE_RAD, refraction_displacement
@@ -96,17 +95,6 @@ def test_two_gaussians_have_the_asymmetry_of_a_short_trail_of_changing_speed() -
 
     assert -6 * offset * own * change == pytest.approx(-12 * (1 / 80 - 1 / 144), rel=1e-5)
     assert pytest.approx(own * change**2, rel=1e-12) == segmentation._CHANGE_VARIANCE
-
-
-def test_a_spline_widens_stars_by_as_much_as_they_are_drawn_narrower() -> None:
-    (coefficients,) = re.findall(r"CURVATURE_PX2 = vec2\(([\d.]+), ([\d.]+)\)", shader("warp.frag"))
-    always, between = map(float, coefficients)
-    t = np.linspace(0.0, 1.0, 101)
-
-    # A cubic B-spline's own variance, and half a second derivative's.
-    widened_px2 = 1 / 3 + always + between * t * (1 - t)
-
-    np.testing.assert_allclose(widened_px2, distortionpass._INTERPOLATION_PX2, rtol=0, atol=0.004)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ LENS = camera(400, 300, 500.0)
 
 def random_paths(segments, spacing_px=COARSE_PX, seed=0):
     random = np.random.default_rng(seed)
-    nodes = LENS.unproject(random.uniform(-50, 400, (2 * segments + 1, STARS, 2)))
+    nodes = LENS.unit_vectors(random.uniform(-50, 400, (2 * segments + 1, STARS, 2)))
+    nodes /= nodes[..., 2:]
     nodes *= 1.0 + 0.02 * np.arange(2 * segments + 1)[:, np.newaxis, np.newaxis]
     time_fraction, weight = random.dirichlet(np.ones(segments)), random.uniform(1.0, 1.005, segments)
     return ConicPaths(LENS, np.moveaxis(nodes, -1, 0), weight, time_fraction, spacing_px)
@@ -40,7 +41,7 @@ def test_a_steady_rotation_is_a_conic_and_uniform_in_time(deg):
     random = np.random.default_rng(5)
     axis = random.normal(size=3)
     axis /= np.linalg.norm(axis)
-    directions = LENS.unproject(random.uniform([0, 0], [400, 300], (STARS, 2)))
+    directions = LENS.unit_vectors(random.uniform([0, 0], [400, 300], (STARS, 2)))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
 
     def rotated(fraction):

@@ -21,7 +21,8 @@ from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.telemetry.synthetic import ScriptedFlight
 from tests.support.reference import ReferenceRenderer
-from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning, with_stars_at
+from tests.support.trails import vibrating
 
 # Measured: 1.3e-5 px with ERFA, 2.7e-4 px with the paper's chain.  Diurnal aberration is 1.2e-3 px here.
 LABEL_PX = {"erfa": 2e-4, "paper": 1e-3}
@@ -223,6 +224,23 @@ def test_trails_that_leave_the_image_are_cut_at_its_border_whatever_their_sample
         assert star["in_frame"] == pytest.approx(scene.camera.contains(xy_px).mean(), rel=0, abs=2e-4)
         centroid = xy_px[scene.camera.contains(xy_px, radius_px)].mean(axis=0)
         assert (star["centroid_x_px"], star["centroid_y_px"]) == pytest.approx(tuple(centroid), rel=0, abs=0.02)
+
+
+def test_a_star_that_shakes_on_the_border_is_in_frame_as_often_as_it_is():
+    """At 150 Hz, logged at 1 kHz, against 40 000 positions: 0.033 off with as few samples as its length demands."""
+    simulator = vibrating(150.0, 0.02)
+    exposure = Exposure(NIGHT_UTC_S + 0.5, 0.5)
+    border = np.array(
+        [(x, 0.3) for x in np.linspace(20.0, 380.0, 12)] + [(-0.4, y) for y in np.linspace(20.0, 280.0, 8)]
+    )
+    simulator = with_stars_at(simulator, border, np.zeros(len(border)), exposure.mid_utc_s)
+    scene = simulator.scene(exposure)
+    pointing = simulator.pointing(exposure.start_utc_s + (np.arange(40_000) + 0.5) / 80_000)
+    stars = truth_of(scene)["stars"]
+    assert len(stars) == len(border)
+    for star in stars:
+        xy_px = scene.camera.project(pointing.to_camera(scene.stars.direction_eq[[star["star_id"] - 1]]))[:, 0]
+        assert star["in_frame"] == pytest.approx(scene.camera.contains(xy_px).mean(), rel=0, abs=2e-3)
 
 
 def test_a_star_whose_flux_touches_the_image_from_outside_has_a_label_out_of_frame():

@@ -2,9 +2,8 @@
 
 Each trial draws one bright star on a small image: 0 to 381 deg/s, uniform, accelerating, bent, vibrating, rough, or a
 real flight logged at 25 Hz and rounded to 0.01 deg; sigma 0.3 to 8 px; any subpixel phase, also across the image's
-border; with a barrel lens in every sixth trial.  The reference is the sum of Gaussians, integrated over pixels, along
-the interpolated attitude with a spacing of at most a third of a sigma.  Behind a lens it is the sum of many
-sub-exposures.
+border; with a barrel lens in every sixth trial.  The reference is the sum of Gaussians on the sensor, integrated over
+pixels, along the interpolated attitude with a spacing of at most a third of a sigma.
 
 With ``--users`` every trial is what users run: the bundled flight as it was logged, its default interpolation,
 ``trail = "auto"``, and sigma and exposure time near the defaults.
@@ -64,8 +63,6 @@ LEAST_FRACTION = 5e-3
 SPACING_SIGMA = 1 / 3
 # Where the rows of a rolling shutter cut a path.
 ROLLING_SPACING_SIGMA = 1 / 12
-# Sub-exposures behind a lens.  At 0.8 sigma they are up to 0.7 % of the local maximum off where a path turns back.
-LENS_SPACING_SIGMA = 0.4
 KINDS = ("uniform", "accelerating", "bent", "vibrating", "rough", "logged")
 
 
@@ -81,10 +78,10 @@ class Variant(NamedTuple):
 
 
 VARIANTS = {
-    "fisheye": "draw behind a fisheye, up to 50 deg off its axis",
+    "fisheye": "draw behind a fisheye, up to 109 deg off its axis",
     "refraction": "bend the light of the stars, at altitudes of 0.1 to 90 deg",
-    "horizon": "let each star rise or set during its exposure, behind a pinhole",
-    "rolling": "read rows or columns out one after the other within 0.01 to 0.2 s, behind a pinhole",
+    "horizon": "let each star rise or set during its exposure",
+    "rolling": "read rows or columns out one after the other within 0.01 to 0.2 s",
     "shaking": "let each star shake about one place, by up to 2 standard deviations to either side",
     "users": "draw the bundled flight as it was logged, with the default trail model",
 }
@@ -185,10 +182,10 @@ def _as_users_run(random: np.random.Generator) -> Trial:
 def _lens_of(variant: Variant, lens: Camera, random: np.random.Generator) -> Camera:
     """Return the camera of a variant: behind a fisheye it is a part of a larger image."""
     if variant.fisheye:
-        cx_px, cy_px = random.uniform([-100.0, -50.0], [WIDTH_PX / 2, HEIGHT_PX / 2])
+        cx_px, cy_px = random.uniform([-300.0, -200.0], [WIDTH_PX / 2, HEIGHT_PX / 2])
         fisheye = Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4))
         return Camera(WIDTH_PX, HEIGHT_PX, FISHEYE_FOCAL_PX, FISHEYE_FOCAL_PX, cx_px, cy_px, 0.0, fisheye)
-    return replace(lens, lens=None) if variant.horizon or variant.rolling else lens
+    return lens
 
 
 def _altitude_rad(variant: Variant, random: np.random.Generator) -> float | None:
@@ -202,8 +199,7 @@ def _with_star(
     simulator: Simulator, attitudes: _Attitudes, xy_px: Float, utc_s: float, altitude_rad: float | None
 ) -> Simulator:
     """Return the view of one star of magnitude 0 that is at a pixel at one time, at an apparent altitude."""
-    (ray,) = simulator.camera.unproject(xy_px[np.newaxis])
-    ray /= np.linalg.norm(ray)
+    (ray,) = simulator.camera.unit_vectors(xy_px[np.newaxis])
     unturned = attitudes.track(np.eye(3))
     direction_ned = (simulator.mount.C_camera_body @ matrix_from_quaternion(unturned.at(utc_s))).T @ ray
     flight = Flight(attitudes.track(_turned_to(direction_ned, altitude_rad)), PositionTrack.fixed(ADELAIDE))
@@ -277,7 +273,7 @@ def _logged(random: np.random.Generator) -> _Attitudes:
 
 
 def brute_force(trial: Trial, border_px: int = 0) -> Float:
-    """Return the noiseless signal of a trial behind a pinhole, DN, on the image and a border around it, float64."""
+    """Return the noiseless signal of a trial, DN, on the image and a border around it, float64."""
     simulator, exposure = trial.simulator, trial.exposure
     sigma_px, size = simulator.sensor.psf_sigma_px, np.array([WIDTH_PX, HEIGHT_PX])
     xy_px, weight = _dense_path(simulator, exposure, SPACING_SIGMA * sigma_px)
@@ -347,9 +343,7 @@ def worst_pixel(renderer: GLRenderer, trial: Trial) -> Worst:
     bordered = brute_force(trial, border_px)
     nearby_px = 2 * max(NEARBY_PX, int(NEARBY_SIGMA * trial.simulator.sensor.effective_sigma_px)) + 1
     nearby = maximum_filter(bordered, nearby_px)[image]
-    expected = bordered[image] if trial.simulator.camera.lens is None else _summed(renderer, trial)
-    if trial.exposure.readout_s > 0:
-        expected = _rolling(trial)
+    expected = _rolling(trial) if trial.exposure.readout_s > 0 else bordered[image]
     nearby = np.maximum(np.maximum(nearby, maximum_filter(expected, nearby_px)), LEAST_FRACTION * bordered.max())
     if bordered.max() < 1.0:  # the star passes far from the image
         return Worst(float(np.abs(drawn - expected).max()), is_lit=False)
@@ -365,16 +359,6 @@ def _rolling(trial: Trial) -> Float:
     )
     samples = int(np.ceil(trial.exposure.span_s / trial.exposure.duration_s / weight))
     return rolling_light(trial.simulator, trial.exposure, 0, samples)
-
-
-def _summed(renderer: GLRenderer, trial: Trial) -> Float:
-    """Return the sum of many sub-exposures of a trial, as the renderer draws them, DN."""
-    _, weight = _dense_path(trial.simulator, trial.exposure, LENS_SPACING_SIGMA * trial.simulator.sensor.psf_sigma_px)
-    rate_hz = min(1 / weight, 200_000) / trial.exposure.duration_s
-    exposure = replace(trial.exposure, trail="sprites", rate_hz=rate_hz)
-    summed = renderer.render(trial.simulator.scene(exposure), seed=0, light=True).light_dn
-    assert summed is not None
-    return summed.astype(np.float64)
 
 
 def _described(trial: Trial, worst: Worst) -> str:
@@ -394,10 +378,6 @@ def main() -> None:
         parser.add_argument(f"--{name}", action="store_true", help=text)
     parser.add_argument("--pieces", action="store_true", help="draw in pieces whatever can be")
     asked = parser.parse_args()
-    if asked.fisheye and asked.horizon:
-        parser.error("--horizon is compared behind a pinhole: sub-exposures are too coarse at the horizon")
-    if asked.rolling and (asked.fisheye or asked.horizon):
-        parser.error("--rolling is compared behind a pinhole, of stars above the horizon")
     variant = Variant(*(getattr(asked, name) for name in Variant._fields))
     found = []
     with GLRenderer.headless() as renderer, drawn_in_pieces() if asked.pieces else nullcontext():

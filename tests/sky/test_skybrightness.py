@@ -104,7 +104,7 @@ def test_the_horizon_of_a_banked_camera_is_straight_to_the_last_column() -> None
     sky_dn = frame.pixels - frame.light_dn
     compared = 0
     for column in (3, 500, 1007, 1012, 1013):
-        rays = lens.unproject(np.stack([np.full(300, column), np.arange(300)], axis=1).astype(np.float64))
+        rays = lens.unit_vectors(np.stack([np.full(300, column), np.arange(300)], axis=1).astype(np.float64))
         is_sky = rays @ up > 0
         if is_sky.all() or not is_sky.any():
             continue
@@ -138,7 +138,7 @@ def test_the_image_has_the_sky_of_each_pixel() -> None:
         frame = renderer.render(scene, seed=0, light=True)
     sky_dn = frame.pixels.astype(np.float64) - frame.light_dn
     rows, columns = (np.array(v) for v in zip(*[(20, 30), (120, 160), (200, 290), (5, 315), (238, 2)], strict=True))
-    rays = simulator.camera.unproject(np.stack([columns, rows], axis=1).astype(np.float64))
+    rays = simulator.camera.unit_vectors(np.stack([columns, rows], axis=1).astype(np.float64))
     # The solid angle of a pixel of a pinhole: cos^3 / f^2.
     cosine = 1 / np.linalg.norm(rays / rays[:, 2:], axis=1)
     arcsec2 = cosine**3 / 300.0**2 * 206264.806**2
@@ -214,7 +214,9 @@ def test_stars_set_at_the_dip_of_the_horizon() -> None:
                 frame = renderer.render(scene, seed=0, light=True)
                 line = orjson.loads(frame_truth(scene, frame, number=0, file="a.png"))
             up = np.array(line["up_camera"])
-            rays = lens.unproject([(star["x_px"], star["y_px"]) for star in line["stars"] if star["x_px"] is not None])
+            rays = lens.unit_vectors(
+                [(star["x_px"], star["y_px"]) for star in line["stars"] if star["x_px"] is not None]
+            )
             lowest_deg.append(np.rad2deg(np.arcsin(rays @ up / np.linalg.norm(rays, axis=1))).min())
             drawn.append(frame.light_dn[125:128].sum())
         assert lowest_deg[0] > -0.01

@@ -44,7 +44,7 @@ FISHEYE_KEYS = (
     ("use_fisheye", "true"),
     ("fisheye_model", 1),
 )
-LACKING = ("omni", "eucm", "ds", "MEI", "fov", "SCARAMUZZA", "thin_prism_fisheye", "ftheta", "SIMPLE_RADIAL_FISHEYE")
+LACKING = ("ucm", "fov", "SCARAMUZZA", "thin_prism_fisheye", "ftheta", "SIMPLE_RADIAL_FISHEYE")
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +362,7 @@ def _traps(rng: Rng, truth: TrueCamera) -> list[_Trap]:
         _Trap("another matrix", {"intrinsics": [300.0, 300.0, 200.0, 150.0]}, writers=yaml_only),
         _Trap("a lens that glstar lacks", {"camera_model": lacking}),
         _Trap("a lens that glstar lacks", {"lens_model": lacking}),
-        _Trap("a mirror", {"xi": 1.2}),
+        _Trap("a mirror", {"xi": 1.2}, writers=(ros, ros_topic)),
         _Trap(
             "a window",
             {"roi": window},

@@ -57,14 +57,13 @@ def matches_xy(matches: Matches) -> Float:
 
 
 def equidistant(f_px: float, cx_px: float, cy_px: float) -> Projection:
-    """Return the projection r = f theta of a fisheye; NaN behind the camera."""
+    """Return the projection r = f theta of a fisheye, of the whole sphere."""
 
     def project(direction: Float) -> Float:
         x, y, z = direction.T
         across = np.hypot(x, y)
         r_px = f_px * np.arctan2(across, z)
-        xy = np.column_stack([x, y]) * (r_px / np.maximum(across, 1e-12))[:, np.newaxis] + (cx_px, cy_px)
-        return np.where((z > 0)[:, np.newaxis], xy, np.nan)
+        return np.column_stack([x, y]) * (r_px / np.maximum(across, 1e-12))[:, np.newaxis] + (cx_px, cy_px)
 
     return project
 

@@ -45,7 +45,7 @@ def open_fractions(
 
 
 def rolling_light(simulator: Simulator, exposure: Exposure, star: int, samples: int = 20_000) -> Float:
-    """Return the noiseless signal of one star behind a pinhole, (height, width) float64, DN."""
+    """Return the noiseless signal of one star, a Gaussian on the sensor, (height, width) float64, DN."""
     camera, sensor = simulator.camera, simulator.sensor
     span_s = recorded_span_s(exposure)
     utc_s = exposure.start_utc_s + (np.arange(samples) + 0.5) * (span_s / samples)
@@ -60,41 +60,3 @@ def rolling_light(simulator: Simulator, exposure: Exposure, star: int, samples: 
         down = profile(np.arange(camera.height_px) - xy[block, 1:], sensor)
         image += (down * fractions).T @ across if vertical else down.T @ (across * fractions)
     return image
-
-
-def rolling_light_behind_lens(
-    simulator: Simulator, exposure: Exposure, star: int, margin_px: int = 10, samples: int = 1500, nodes: int = 5
-) -> tuple[Float, tuple[slice, slice]]:
-    """Return the noiseless signal of one star behind a lens around its trail, DN, with the rows and columns.
-
-    Each pixel is integrated over its patch of the undistorted plane by Gauss-Legendre quadrature, and is open when its
-    own row is.
-    """
-    camera, sensor, step = simulator.camera, simulator.sensor, 1e-3
-    span_s = recorded_span_s(exposure)
-    utc_s = exposure.start_utc_s + (np.arange(samples) + 0.5) * (span_s / samples)
-    in_camera = simulator.pointing(utc_s).to_camera(simulator.stars.direction_eq[star : star + 1])[:, 0]
-    path = camera.project(in_camera)
-    low = np.maximum(np.floor(np.nanmin(path, axis=0)).astype(int) - margin_px, 0)
-    high = np.minimum(np.ceil(np.nanmax(path, axis=0)).astype(int) + margin_px + 1, [camera.width_px, camera.height_px])
-    columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
-    inside, weights = (values / 2 for values in np.polynomial.legendre.leggauss(nodes))
-    xy = np.stack(np.meshgrid((columns[:, np.newaxis] + inside).ravel(), (rows[:, np.newaxis] + inside).ravel()), -1)
-
-    def undistorted(xy_px: Float) -> Float:
-        return camera.pinhole.project(camera.unproject(xy_px))
-
-    by_x, by_y = ((undistorted(xy + step * e) - undistorted(xy - step * e)) / (2 * step) for e in np.eye(2))
-    area = np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0])
-    flat = undistorted(xy)
-    fractions, vertical = open_fractions(exposure, camera.width_px, camera.height_px, samples)
-    peak_dn = float(sensor.peak_dn(simulator.stars.camera_mag[star], exposure.duration_s))
-    image = np.zeros(xy.shape[:2])
-    for centre, fraction in zip(camera.pinhole.project(in_camera), fractions, strict=True):
-        weight = fraction[rows].repeat(nodes)[:, np.newaxis] if vertical else fraction[columns].repeat(nodes)
-        if np.any(weight):
-            near = np.exp(-((flat - centre) ** 2).sum(axis=-1) / (2 * sensor.psf_sigma_px**2))
-            image += weight * near
-    image *= area * peak_dn * span_s / exposure.duration_s / samples
-    summed = np.einsum("rick,i,k->rc", image.reshape(len(rows), nodes, len(columns), nodes), weights, weights)
-    return summed, np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

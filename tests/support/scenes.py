@@ -46,13 +46,13 @@ def stars_at(
     There is no refraction, and the zenith is on the boresight.
     """
     xy, vmag = np.asarray(xy_px, dtype=np.float64), np.asarray(vmag, dtype=np.float64)
-    rays = lens.unproject(xy)
+    rays = lens.unit_vectors(xy)
     field = StarField(
         catalogue="bsc5",
         star_id=np.arange(1, len(xy) + 1, dtype=np.int32),
         name=("",) * len(xy),
         vmag=vmag,
-        direction_eq=rays / np.linalg.norm(rays, axis=1, keepdims=True),
+        direction_eq=rays,
         epoch_utc_s=0.0,
         C_eq_icrs=np.eye(3),
     )
@@ -117,7 +117,6 @@ def star_field(direction_eq: NDArray[np.float64], vmag: NDArray[np.float64]) -> 
 def with_stars_at(simulator: Simulator, xy_px: ArrayLike, vmag: ArrayLike, utc_s: float) -> Simulator:
     """Return a simulator without refraction whose stars are at given pixels at one time."""
     pointing = simulator.pointing(np.array([utc_s]))
-    rays = simulator.camera.unproject(xy_px)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = simulator.camera.unit_vectors(xy_px)
     stars = star_field(rays @ pointing.C_camera_eq[0] - pointing.velocity_eq[0], np.asarray(vmag, dtype=np.float64))
     return replace(simulator, stars=stars, sky=replace(simulator.sky, refraction=False))

@@ -44,6 +44,6 @@ def test_all_azimuths_are_in_an_image_with_zenith_or_nadir(altitude_deg):
 
 def test_the_azimuths_are_not_known_if_the_lens_does_not_reach_the_border():
     lens = {"lens": "fisheye", "distortion": [0.0, 0.0, 0.0, 0.0]}
-    numbers = {"width_px": 254, "height_px": 190, "fx_px": 60.0, "fy_px": 60.0}
+    numbers = {"width_px": 254, "height_px": 190, "fx_px": 40.0, "fy_px": 40.0}
     config = Config().override(**{f"camera.{key}": value for key, value in (numbers | lens).items()})
     assert np.isnan(image_azimuths_rad(config.camera(), _rotation(0.0, 0.0, 0.0))).all()

@@ -94,8 +94,7 @@ def along(lines):
 
 def rays(xy, lens=LENS):
     """Return the directions of pixels, unit vectors in the camera frame."""
-    ray = lens.unproject(xy)
-    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    return lens.unit_vectors(xy)
 
 
 def C_camera_ned_of_opencv(roll_rad, pitch_rad, yaw_rad):
@@ -197,7 +196,7 @@ def test_every_point_of_a_drawn_grid_is_on_the_grid(roll_rad, pitch_rad, yaw_rad
         off_deg = np.minimum(
             off(latitude_rad, spacing_deg), off(longitude_rad, spacing_of_longitude_deg) * np.cos(latitude_rad)
         )
-        return np.deg2rad(off_deg) * lens.fx_px / ray[:, 2] ** 2
+        return np.deg2rad(off_deg) * np.linalg.norm(lens.px_per_rad(ray), ord=2, axis=(1, 2))
 
     ray = rays(along(polylines(shapes, Overlay.ALTAZ_GRID)), lens)
     azimuth, altitude = ned_to_azimuth_altitude_rad(ray @ C_camera_ned_of_opencv(*attitude))

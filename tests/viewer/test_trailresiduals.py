@@ -54,7 +54,7 @@ def test_the_shifts_are_those_of_a_turned_camera_in_each_image(compared):
     assert isinstance(residuals, TrailResiduals)
     camera = session.scene.camera
     here, real = (session.config.override(**mount).mount().C_camera_body for mount in (MOUNT, DRAWN))
-    expected = camera.project(camera.unproject(residuals.real_px) @ (here @ real.T).T) - residuals.real_px
+    expected = camera.project(camera.unit_vectors(residuals.real_px) @ (here @ real.T).T) - residuals.real_px
     assert len(expected) > 10
     assert np.median(np.linalg.norm(expected, axis=1)) > 0.7
     off_px = np.linalg.norm(residuals.shift_px - expected, axis=1)

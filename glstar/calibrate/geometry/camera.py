@@ -192,12 +192,6 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[Note, ...]:
     """Return remarks on a doubtful camera; `psf_sigma_px`: width of the stars, px."""
     camera = matches.solution.camera
     texts = [*camera_warnings(camera)]
-    if not camera.is_drawable:
-        texts.append(
-            f"the lens covers {np.rad2deg(camera.field_radius_rad):.0f} deg off its axis, and glstar"
-            " renders up to 70: sigma and brightness are those on the image; for rendering, give the camera of a"
-            " smaller part of it (width_px, height_px, cx_px, cy_px)"
-        )
     if matches.rms_px > _MISPLACED_SIGMA * psf_sigma_px:
         model = "a pinhole" if camera.lens is None else f"such a {camera.lens.model} lens"
         texts.append(

@@ -182,8 +182,8 @@ def best_lens(stars: tuple[IdentifiedStars, ...], solutions: tuple[PlateSolution
         if eligible and (best is None or trial.criterion < best.chosen.criterion - _SELECTION.margin):
             best = BestLens(poses, trial, candidate, (), sd)
     if best is None:
-        tangent = max(part.largest_tangent(C) for part, C in zip(stars, attitudes, strict=True))
-        raise _no_lens(choice, count, tangent, attempted=attempted)
+        angle_rad = max(part.largest_angle_rad(C) for part, C in zip(stars, attitudes, strict=True))
+        raise _no_lens(choice, count, angle_rad, attempted=attempted)
     return replace(best, trials=tuple(trials))
 
 
@@ -217,11 +217,11 @@ def _is_allowed(candidate: LensCandidate, choice: LensChoice, best: BestLens | N
     return True
 
 
-def _no_lens(choice: LensChoice, count: int, tangent: float, *, attempted: bool) -> CalibrationError:
+def _no_lens(choice: LensChoice, count: int, angle_rad: float, *, attempted: bool) -> CalibrationError:
     kind = {"auto": "camera", "none": "pinhole"}.get(choice, f"{choice} lens")
     if attempted:
         message = (
-            f"no {kind} projects the {count} identified stars, up to {np.rad2deg(np.arctan(tangent)):.0f} deg off the"
+            f"no {kind} projects the {count} identified stars, up to {np.rad2deg(angle_rad):.0f} deg off the"
             " optical axis, to one position each; use --lens auto"
         )
     else:

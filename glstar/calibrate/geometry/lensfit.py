@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import xlogy
 
 from glstar.arrays import Float, Index, robust_std
 from glstar.calibrate.geometry.lenschoice import BestLens, LensChoice, LensTrial, best_lens, fit_candidate, simple_lens
@@ -35,6 +36,18 @@ _MOST_PX = 1.0
 # ... or if the root mean square exceeds this multiple of that limit, or more than this fraction of stars exceeds it.
 _FAR_SIGMA = 3.0
 _MOST_FAR_FRACTION = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class _Circle:
+    """When the end of an image circle is seen in the stars."""
+
+    stars: int = 50  # Number of bright stars needed
+    missing: float = 12.0  # Number of them that would have been found beyond the circle
+    false_fraction: float = 0.1  # Of those, the largest fraction that may seem to be found
+
+
+_CIRCLE = _Circle()
 
 
 def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> float:
@@ -211,7 +224,47 @@ def fit_lens(
         "give an image as the camera took it, neither cropped nor stitched" if lens == "auto" else "use --lens auto"
     )
     require_explained(detected, reference, identified, matches, lens=fitted, advice=advice)
-    return matches
+    return _within_circle(reference, matches)
+
+
+def _within_circle(reference: ReferenceStars, matches: Matches) -> Matches:
+    """Return the matches behind a fisheye whose image circle ends where the bright stars of the catalogue do."""
+    solution = matches.solution
+    lens = solution.camera.lens
+    bright = matches.predicted[: len(matches)]
+    if lens is None or lens.model != "fisheye" or len(bright) < _CIRCLE.stars:
+        return matches
+    cosine = reference.to_camera(solution.C_camera_eq)[bright, 2]
+    order = np.argsort(-cosine)
+    angle_rad, found = np.arccos(np.clip(cosine[order], -1, 1)), np.isin(bright, matches.star)[order]
+    # The division into stars within and beyond the circle that explains best which ones were found.
+    within = np.arange(1, len(found))
+    found_within = np.cumsum(found)[:-1]
+    beyond, found_beyond = len(found) - within, found.sum() - found_within
+    both = ((within, found_within), (beyond, found_beyond))
+    best = int(np.argmax(sum(xlogy(n, n / count) + xlogy(count - n, 1 - n / count) for count, n in both)))
+    fraction = found_within[best] / within[best]
+    if (
+        fraction * beyond[best] < _CIRCLE.missing
+        or found_beyond[best] > _CIRCLE.false_fraction * fraction * beyond[best]
+    ):
+        return matches
+    end_rad = float(angle_rad[best : best + 2].mean())
+    camera = replace(solution.camera, lens=replace(lens, max_angle_rad=float(np.deg2rad(np.rad2deg(end_rad).round(2)))))
+    solution = replace(solution, camera=camera)
+    predicted, predicted_xy = solution.stars_on_image(reference)
+    kept = np.isin(matches.star, predicted)
+    text = f"the image circle ends {np.rad2deg(end_rad):.1f} deg off the axis: bright stars beyond it are missing"
+    return replace(
+        matches,
+        solution=solution,
+        star=matches.star[kept],
+        detection=matches.detection[kept],
+        residual_px=matches.residual_px[kept],
+        predicted=predicted,
+        predicted_xy_px=predicted_xy,
+        notes=(*matches.notes, Note(NoteKind.CAMERA, text)),
+    )
 
 
 def _solution_of(best: BestLens, solution: PlateSolution) -> PlateSolution:

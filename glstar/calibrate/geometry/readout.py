@@ -17,7 +17,6 @@ from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
     IdentifiedStars,
-    projection_jacobian,
 )
 from glstar.calibrate.identify.matching import refine, without_k1
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars, is_significant
@@ -234,10 +233,7 @@ def _by_readout(stars: IdentifiedStars, camera: Camera, C_camera_eq: Float) -> F
     """Return the derivative of the predicted positions by the readout time, (2 n,) float64, px/s."""
     assert stars.by_readout is not None
     direction, change = stars.apparent @ C_camera_eq.T, stars.by_readout @ C_camera_eq.T
-    _, by_position, _ = projection_jacobian(camera, direction)
-    depth = direction[:, 2:]
-    in_plane = change[:, :2] / depth - direction[:, :2] * change[:, 2:] / depth**2
-    return np.asarray(np.nan_to_num(np.einsum("nij,nj->ni", by_position, in_plane)).ravel())
+    return np.nan_to_num(camera.project_with_rates(direction, change)[1]).ravel()
 
 
 def _std_s(fit: Minimum[_State]) -> float:

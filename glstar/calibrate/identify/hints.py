@@ -17,6 +17,7 @@ from glstar.calibrate.identify.platesolution import (
     ReferenceStars,
     exceeds_pinhole,
     is_significant,
+    nominal_camera,
     orientation_notes,
     require_significant,
     wide_angle_cameras,
@@ -169,7 +170,7 @@ _LABEL_RADIUS_PX = 8.0
 # Three directions determine an attitude and whether the image is mirrored.
 _MIN_LABELS = 3
 # Fields of view to try if the focal length is unknown, rad.
-_FOVS_TRIED_RAD = np.deg2rad(np.geomspace(2.0, 140.0, 200))
+_FOVS_TRIED_RAD = np.deg2rad(np.geomspace(2.0, 220.0, 222))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +197,11 @@ def identify_by_labels(
         distance_px, nearest = KDTree(detected.xy_px).query(xy)
         xy = np.where((distance_px < _LABEL_RADIUS_PX)[:, np.newaxis], detected.xy_px[nearest], xy)
     direction = reference.stars.direction_eq[star]
-    focals = [camera.fx_px] if focal_known else list(camera.width_px / 2 / np.tan(_FOVS_TRIED_RAD / 2))
+    tried = [nominal_camera(camera.width_px, camera.height_px, fov_rad) for fov_rad in _FOVS_TRIED_RAD.tolist()]
     solutions = [
-        _labelled_by_attitude(xy, direction, camera, f, mirrored=mirrored) for f in focals for mirrored in (False, True)
+        _labelled_by_attitude(xy, direction, one, mirrored=mirrored)
+        for one in ([camera] if focal_known else tried)
+        for mirrored in (False, True)
     ]
     off_px = [np.median(np.linalg.norm(s.project(direction @ s.C_camera_eq.T) - xy, axis=1)) for s in solutions]
     matches = refine(detected, reference, solutions[int(np.nanargmin(off_px))])
@@ -234,12 +237,9 @@ def _labelled_stars(reference: ReferenceStars, labels: Sequence[Label]) -> NDArr
     return np.array([index[label.star_id] for label in labels])
 
 
-def _labelled_by_attitude(
-    xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool
-) -> PlateSolution:
+def _labelled_by_attitude(xy: Float, direction_eq: Float, camera: Camera, *, mirrored: bool) -> PlateSolution:
     """Return the solution whose attitude best rotates directions to the rays of pixels (Wahba's problem)."""
-    scaled = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
     x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
-    rays = scaled.unit_vectors(np.column_stack([x, xy[:, 1]]))
+    rays = camera.unit_vectors(np.column_stack([x, xy[:, 1]]))
     valid = np.isfinite(rays).all(axis=1)
-    return PlateSolution(scaled, fitted_rotation(direction_eq[valid], rays[valid]), mirrored)
+    return PlateSolution(camera, fitted_rotation(direction_eq[valid], rays[valid]), mirrored)

@@ -17,30 +17,16 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
-# Step of the numerical derivative in the normalised image plane.
-_STATE_STEP = 1e-6
 
-
-def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
+def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float]:
     """Return distorted positions of directions (n, 3) in the camera frame, and their derivatives.
 
-    The positions (n, 2) are those in the normalised image plane, which the camera matrix maps to pixels.  The
-    derivatives of pixels are those by undistorted normalised positions (n, 2, 2), and by the rotation vector of
-    `glstar.rotation.quaternion_from_turn`, px/rad (n, 2, 3).
+    The positions (n, 2) are those in the normalized image plane, which the camera matrix maps to pixels.  The
+    derivatives of pixels are those by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad (n, 2, 3).
     """
-    plane = direction_camera[:, :2] / np.where(direction_camera[:, 2:] > 1e-9, direction_camera[:, 2:], np.nan)
-    matrix = camera.K[:2, :2]
-    if camera.lens is None:
-        bent, by_position = plane, np.broadcast_to(matrix, (len(plane), 2, 2))
-    else:
-        step = _STATE_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        bent, right, left, down, up = camera.lens.distort(plane + step[:, np.newaxis])
-        by_position = matrix @ (np.stack([right - left, down - up], axis=-1) / (2 * _STATE_STEP))
-    x, y = plane.T
-    turned = np.empty((len(plane), 2, 3))
-    turned[:, 0] = np.column_stack([x * y, -1 - x * x, y])
-    turned[:, 1] = np.column_stack([1 + y * y, -x * y, -x])
-    return bent, np.asarray(by_position), np.asarray(by_position @ turned)
+    axes = np.eye(3)[:, np.newaxis]
+    xy, by_turn = camera.project_with_rates(direction_camera, np.cross(direction_camera, axes))
+    return camera.normalized(xy[0]), np.moveaxis(by_turn, 0, -1)
 
 
 # Prior standard deviation of the principal point, over the image's width.
@@ -54,6 +40,8 @@ _SOFT_NOISE = 2.0
 _MOST_STEPS = 100
 # A lens must be one-to-one over the image, and this factor beyond its border.
 _BORDER_FACTOR = 1.02
+# Stars up to this angle off the axis determine the start of a lens that ends before 90 deg.
+_MOST_PERSPECTIVE_RAD = np.deg2rad(88.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,23 +89,24 @@ class IdentifiedStars:
         """Return detected minus predicted positions, (n, 2) float64, px; NaN outside the lens's domain."""
         return self.xy_px - camera.project(self.apparent @ C_camera_eq.T)
 
-    def largest_tangent(self, C_camera_eq: Float) -> float:
-        """Return the tangent of the largest angle between a star and the optical axis."""
-        direction = self.apparent @ C_camera_eq.T
-        return float(np.max(np.hypot(direction[:, 0], direction[:, 1]) / np.maximum(direction[:, 2], 1e-3)))
+    def largest_angle_rad(self, C_camera_eq: Float) -> float:
+        """Return the largest angle between a star and the optical axis."""
+        x, y, z = (self.apparent @ C_camera_eq.T).T
+        return float(np.max(np.arctan2(np.hypot(x, y), z)))
 
     def corner_fraction(self, camera: Camera) -> float:
         """Return the distance of the outermost star from the principal point over that of the farthest corner.
 
-        For a fisheye, over the radius of its image circle if that is smaller: beyond it there are no stars.
+        For a fisheye, over the radius at 90 deg or of its image circle, if that is smaller: there stars may end.
         """
         centre = np.array([camera.cx_px, camera.cy_px])
         corners = [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
         farthest = np.linalg.norm(np.array(corners) - centre, axis=1).max()
+        outermost = np.linalg.norm(self.xy_px - centre, axis=1).max()
         if camera.lens is not None and camera.lens.model == "fisheye":
-            edge = [min(0.999999 * camera.lens.limit, 1e6), 0.0]
-            farthest = np.fmin(farthest, camera.fx_px * camera.lens.distort(edge)[0])
-        return float(np.linalg.norm(self.xy_px - centre, axis=1).max() / farthest)
+            circle_px = camera.fx_px * camera.lens.radius(0.999999 * min(camera.lens.limit_rad, np.pi / 2))
+            farthest = np.fmin(farthest, max(circle_px, outermost))
+        return float(outermost / farthest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +154,7 @@ class FreeParameters:
         if lens is not None:
             values = np.array(lens.coefficients)
             values[list(self.coefficients)] += step[self.lens_column :]
-            lens = Lens(lens.model, tuple(values.tolist()))
+            lens = replace(lens, coefficients=tuple(values.tolist()))
         right, down = step[f + 1 : f + 3] * camera.width_px if self.principal_point else (0.0, 0.0)
         factor = float(np.exp(np.clip(step[f], -1.0, 1.0)))
         camera = replace(
@@ -196,15 +185,14 @@ class FreeParameters:
         camera, stars, f = state.camera, self.stars[image], self.focal_column
         width_px, matrix = camera.width_px, camera.K[:2, :2]
         direction = stars.apparent @ state.C_camera_eq[image].T
-        distorted, _, by_turn = projection_jacobian(camera, direction)
+        distorted, by_turn = projection_jacobian(camera, direction)
         jacobian = np.zeros((len(distorted), 2, self.lens_column + len(self.coefficients)))
         jacobian[:, :, 3 * image : 3 * image + 3] = by_turn
         jacobian[:, :, f] = distorted @ matrix.T
         if self.principal_point:
             jacobian[:, :, f + 1 : f + 3] = width_px * np.eye(2)
         if camera.lens is not None and self.coefficients:
-            tangent = direction[:, :2] / direction[:, 2:]
-            by_coefficient = _coefficient_jacobian(camera.lens, tangent)[:, :, list(self.coefficients)]
+            by_coefficient = _coefficient_jacobian(camera.lens, direction)[:, :, list(self.coefficients)]
             jacobian[:, :, self.lens_column :] = matrix @ by_coefficient
         residual = distorted @ matrix.T + (camera.cx_px, camera.cy_px) - stars.xy_px
         # A star outside the lens's domain has a large constant residual.
@@ -235,12 +223,12 @@ def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | 
     image (`is_one_to_one`).
     """
     start_camera = start.camera
-    tangent = max(stars.largest_tangent(C) for stars, C in zip(free.stars, start.C_camera_eq, strict=True))
+    angle_rad = max(stars.largest_angle_rad(C) for stars, C in zip(free.stars, start.C_camera_eq, strict=True))
     camera = replace(
         start_camera,
         cx_px=start_camera.cx_px if free.principal_point else free.prior.cx_px,
         cy_px=start_camera.cy_px if free.principal_point else free.prior.cy_px,
-        lens=None if model is None else _lens_like(start_camera.lens, model, free.coefficients, tangent),
+        lens=None if model is None else _lens_like(start_camera.lens, model, free.coefficients, angle_rad),
     )
     positions = 2 * sum(map(len, free.stars))
     priors = 2 * free.principal_point + len(free.denominator)
@@ -299,31 +287,29 @@ def _scores_of_parts(fit: Minimum[CameraPoses], free: FreeParameters) -> Float:
 def is_one_to_one(camera: Camera) -> bool:
     """Return whether each pixel of the image, and of a narrow border around it, maps to one direction.
 
-    The corners may lie outside the image circle of a fisheye without a turning point.
+    The corners may lie outside the image circle of a fisheye of 180 deg or more.
     """
-    if camera.lens is None or (camera.lens.model == "fisheye" and np.isinf(camera.lens.limit)):
+    if camera.lens is None or (camera.lens.model == "fisheye" and camera.lens.limit_rad >= np.pi / 2):
         return True
     middle = np.array([camera.cx_px, camera.cy_px])
     border = np.array(
         [(x, y) for x in np.linspace(-0.5, camera.width_px - 0.5, 9) for y in (-0.5, camera.height_px - 0.5)]
         + [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in np.linspace(-0.5, camera.height_px - 0.5, 9)]
     )
-    return bool(np.isfinite(camera.unproject(middle + _BORDER_FACTOR * (border - middle))).all())
+    return bool(np.isfinite(camera.unit_vectors(middle + _BORDER_FACTOR * (border - middle))).all())
 
 
-def _lens_like(similar: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
-    """Return the lens of a model closest to a given lens, or to a pinhole, up to a tangent off the axis."""
-    r = np.linspace(0.0, tangent, 65)[1:]
-    factor = np.ones_like(r)
-    if similar is not None:
-        # The mean of both sides of the axis has no decentring.
-        factor = (similar.distort(np.outer(r, [1, 0])) - similar.distort(np.outer(r, [-1, 0])))[:, 0] / (2 * r)
+def _lens_like(similar: Lens | None, model: LensModel, free: tuple[int, ...], angle_rad: float) -> Lens:
+    """Return the lens of a model closest to a given lens, or to a pinhole, up to an angle off the axis."""
+    theta = np.linspace(0.0, angle_rad, 65)[1:]
+    tangent = np.tan(np.where(theta < _MOST_PERSPECTIVE_RAD, theta, np.nan))
+    distorted = tangent if similar is None else similar.radius(theta)
     coefficients = np.zeros(max(free, default=-1) + 1)
     if model == "fisheye":
-        theta = np.arctan(r)
-        values, terms = factor * r / theta - 1, theta[:, np.newaxis] ** np.array([2, 4, 6, 8])
+        values, terms = distorted / theta - 1, theta[:, np.newaxis] ** np.array([2, 4, 6, 8])
         radial = list(free)
     else:
+        r, factor = tangent, distorted / tangent
         if model == "rational":
             below = [k for k in free if k >= 5]
             coefficients[below] = [_DENOMINATOR[k - 5] for k in below]
@@ -332,20 +318,22 @@ def _lens_like(similar: Lens | None, model: LensModel, free: tuple[int, ...], ta
         radial = [k for k in free if k in {0, 1, 4}]
     valid = np.isfinite(values)
     coefficients[radial] = np.linalg.lstsq(terms[valid][:, radial], values[valid], rcond=None)[0]
-    return Lens(model, tuple(coefficients.tolist()))
+    return Lens(model, tuple(coefficients.tolist()), np.pi if similar is None else similar.max_angle_rad)
 
 
-def _coefficient_jacobian(lens: Lens, plane: Float) -> Float:
+def _coefficient_jacobian(lens: Lens, direction: Float) -> Float:
     """Return the derivatives of distorted positions by the coefficients, (n, 2, 12), or (n, 2, 4) for a fisheye.
 
-    OpenCV's models; `plane` is (n, 2), in the normalised image plane before the lens.
+    OpenCV's models; `direction` is (n, 3), in the camera frame.
     """
+    x, y, z = direction.T
+    if lens.model == "fisheye":
+        rho = np.maximum(np.hypot(x, y), 1e-12)
+        powers = np.arctan2(rho, z)[:, np.newaxis] ** np.array([3, 5, 7, 9])
+        return np.asarray(direction[:, :2, np.newaxis] * (powers / rho[:, np.newaxis])[:, np.newaxis])
+    plane = direction[:, :2] / direction[:, 2:]
     x, y = plane.T
     q = x * x + y * y
-    if lens.model == "fisheye":
-        r = np.maximum(np.sqrt(q), 1e-9)
-        powers = np.arctan(r)[:, np.newaxis] ** np.array([3, 5, 7, 9])
-        return np.asarray(plane[:, :, np.newaxis] * (powers / r[:, np.newaxis])[:, np.newaxis])
     k1, k2, _, _, k3, k4, k5, k6 = (*lens.coefficients, *(0.0,) * 8)[:8]
     denominator = 1 + q * (k4 + q * (k5 + q * k6))
     factor = (1 + q * (k1 + q * (k2 + q * k3))) / denominator

@@ -170,7 +170,8 @@ def _recognised(
     else:
         half = camera.fx_px * np.tan(np.fmin(CENTRAL_RADIUS_RAD, camera.horizontal_field_rad / 2))
         half = half * np.array([1.0, camera.height_px / camera.width_px])
-        brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
+        rays = camera.unit_vectors(detected.xy_px)
+        brightest[:, :2] = camera.fx_px * rays[:, :2] / np.where(rays[:, 2:] > 0, rays[:, 2:], np.nan)
         brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]
     if len(brightest) < MIN_STARS:
         return

@@ -385,7 +385,7 @@ def _residuals_and_jacobian(
     prior = solution.prior_camera or camera
     direction = apparent @ solution.C_camera_eq.T
     residual = solution.project(direction) - xy_px
-    distorted, _, by_turn = projection_jacobian(camera, direction)
+    distorted, by_turn = projection_jacobian(camera, direction)
     focal = np.array([camera.fx_px, camera.fy_px])
     offset = distorted @ camera.K[:2, :2].T
     tangent = offset / focal
@@ -457,7 +457,7 @@ def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution
     assert camera.lens is not None
     solution = replace(solution, prior_camera=solution.prior_camera or camera)
     corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
-    within_px = camera.fx_px * float(camera.lens.distort([np.tan(CENTRAL_RADIUS_RAD), 0.0])[0])
+    within_px = camera.fx_px * float(camera.lens.radius(CENTRAL_RADIUS_RAD))
     radius_px, rounds = _GROWTH.radius * camera.width_px, _GROWTH.rounds
     while rounds:
         matches = match_stars(detected, reference, solution, radius_px, within_px=within_px)

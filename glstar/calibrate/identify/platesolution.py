@@ -107,7 +107,8 @@ class ReferenceStars:
 
 # Lenses to try for wide fields of view with an unknown lens.  Most wide-angle lenses are nearly equidistant (the
 # distance from the principal point is proportional to the angle from the axis), whatever their calibrated model.
-_WIDE_LENSES = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
+_EQUIDISTANT = Lens("fisheye", ())
+_WIDE_LENSES = (_EQUIDISTANT, Lens("fisheye", (1 / 6,)))
 # Smallest horizontal field of view that counts as wide.
 _WIDE_RAD = np.deg2rad(35.0)
 # Largest horizontal field of view of a pinhole; wider ones need a fisheye.
@@ -137,7 +138,10 @@ class PlateSolution:
         undistorted = camera.project(direction_camera) - centre
         square = (undistorted[:, 0] / camera.fx_px) ** 2 + (undistorted[:, 1] / camera.fy_px) ** 2
         # Beyond the image a negative k1 would turn back and bring stars from outside into the image.
-        square = np.minimum(square, 1.5 * np.tan(camera.field_radius_rad) ** 2)
+        corners = camera.normalized(
+            [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
+        )
+        square = np.minimum(square, 1.5 * (corners**2).sum(axis=1).max())
         xy = centre + undistorted * (1 + self.k1 * square)[:, np.newaxis]
         if self.mirrored:
             xy[:, 0] = camera.width_px - 1 - xy[:, 0]
@@ -173,28 +177,35 @@ class PlateSolution:
         return on_image, xy[on_image]
 
 
+def nominal_camera(width_px: int, height_px: int, fov_rad: float) -> Camera:
+    """Return a camera of a horizontal field of view: a pinhole, or an equidistant fisheye where that is too wide."""
+    lens = None if fov_rad <= _WIDEST_PINHOLE_RAD else _EQUIDISTANT
+    f_px = width_px / 2 / float(np.tan(fov_rad / 2) if lens is None else lens.radius(fov_rad / 2))
+    return Camera(width_px, height_px, f_px, f_px, (width_px - 1) / 2, (height_px - 1) / 2, lens=lens)
+
+
 def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
-    """Return cameras with typical wide-angle lenses and the horizontal field of view of a given pinhole camera.
+    """Return cameras with typical wide-angle lenses and the horizontal field of view of a nominal camera.
 
     There are none for a camera with a known lens and for a narrow field of view.  For a field too wide for a pinhole,
     the image circle of some fits the shorter side of the image.
     """
-    tangent = camera.width_px / 2 / camera.fx_px
-    if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
+    half_rad = camera.horizontal_field_rad / 2
+    if camera.lens not in {None, _EQUIDISTANT} or 2 * half_rad < _WIDE_RAD:
         return ()
     sides_px = [camera.width_px]
     if exceeds_pinhole(camera) and camera.height_px < camera.width_px:
         sides_px.append(camera.height_px)
     wide = []
     for side_px, lens in itertools.product(sides_px, _WIDE_LENSES):
-        f_px = side_px / 2 / float(lens.distort([tangent, 0.0])[0])
+        f_px = side_px / 2 / float(lens.radius(half_rad))
         wide.append(replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px, lens=lens))
     return tuple(wide)
 
 
 def exceeds_pinhole(camera: Camera) -> bool:
-    """Return whether the horizontal field of view of a camera without a lens needs a fisheye."""
-    return camera.lens is None and 2 * np.arctan(camera.width_px / 2 / camera.fx_px) > _WIDEST_PINHOLE_RAD
+    """Return whether the horizontal field of view of a nominal camera needs a fisheye."""
+    return camera.lens in {None, _EQUIDISTANT} and camera.horizontal_field_rad > _WIDEST_PINHOLE_RAD
 
 
 def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) -> Float:
@@ -205,7 +216,7 @@ def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) ->
     """
     camera = solution.camera
     x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
-    rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
+    rays = camera.unit_vectors(np.column_stack([x, xy_px[:, 1]]))
     pole = solution.C_camera_eq[:, 2]
     half = SIDEREAL_RAD_PER_S * exposure_s / 2
     # Stars move from east to west, against the sense of right ascension.

@@ -9,12 +9,11 @@ from scipy.spatial import KDTree
 from scipy.special import ndtri
 
 from glstar.arrays import Float, Index, Mask, robust_std
-from glstar.calibrate.identify.leastsquares import projection_jacobian
-from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars, sidereal_trails
+from glstar.calibrate.identify.platesolution import Matches, ReferenceStars, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.photo.psf import dilution, fit_stars, profile
-from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.sky.photometry import brightness_ratio, magnitude_difference
 
@@ -85,8 +84,8 @@ class MeasuredStars:
     vmag: Float  # (n,)
     xy_px: Float  # (n, 2) detected positions
     residual_px: Float  # (n, 2) detected minus predicted positions
-    peak_dn: Float  # (n,) amplitudes above the sky, for the sensor's width and referred to the optical axis, DN
-    sigma_px: Float  # (n,) the width of each star, referred to the optical axis, px
+    peak_dn: Float  # (n,) amplitudes above the sky, for the sensor's width, DN
+    sigma_px: Float  # (n,) the width of each star, px
     noise_dn: Float  # (n,)
     saturated: Mask  # (n,) bool: whether a pixel is saturated, and whether another catalogue star is too close
     blended: Mask
@@ -124,8 +123,6 @@ def fit_sensor(
     `fit_brightness`.  Raises CalibrationError if fewer than three stars are unsaturated and isolated, or if their
     trails are longer than sidereal motion explains.  Teague & Chahl, section 2.5, eqs (36)-(40).  If the image shows
     sidereal trails, because the camera did not track the sky, width and amplitude are corrected to stars at rest.
-    With a lens they are referred to the optical axis: barrel distortion makes stars narrower and brighter towards the
-    corners, as in the renderer.
     """
     measured, sigma_px = _measure_stars(image, detected, reference, matches, exposure_s)
     sky = detected.sky
@@ -146,7 +143,7 @@ def fit_sensor(
 def _measure_stars(
     image: Photograph, detected: DetectedStars, reference: ReferenceStars, matches: Matches, exposure_s: float
 ) -> tuple[MeasuredStars, float]:
-    """Return the matched stars with amplitudes and widths as on the optical axis, and their typical width, px."""
+    """Return the matched stars with their amplitudes and widths, and their typical width, px."""
     k = matches.detection
     saturated, signal = detected.saturated[k], detected.signal_to_noise[k]
     blended = _blended(reference, matches, detected.psf_sigma_px)
@@ -162,9 +159,6 @@ def _measure_stars(
     weights = np.minimum(signal[wide], _CLEAREST) ** 2
     typical_px = _median(each_sigma_px[wide], weights)
     _refuse_shaken(detected, trail_px[k], typical_px)
-    scale = lens_scale(matches.solution, detected.xy_px[k])
-    each_sigma_px = each_sigma_px / np.sqrt(scale.prod(axis=1))
-    sigma_px = _median(each_sigma_px[wide], weights)
     fits = fit_stars(
         above,
         usable,
@@ -174,7 +168,6 @@ def _measure_stars(
         trail_px=trail_px if moved else None,
         only=k,
     )
-    on_axis = _on_axis(scale, typical_px, sigma_px)
     stars = reference.stars
     measured = MeasuredStars(
         catalogue=stars.catalogue,
@@ -183,7 +176,7 @@ def _measure_stars(
         vmag=stars.vmag[matches.star],
         xy_px=detected.xy_px[k],
         residual_px=matches.residual_px,
-        peak_dn=np.where(saturated, detected.peak_dn[k], on_axis * fits.unbiased_peak_dn),
+        peak_dn=np.where(saturated, detected.peak_dn[k], fits.unbiased_peak_dn),
         sigma_px=each_sigma_px,
         noise_dn=detected.noise_dn[k],
         saturated=saturated,
@@ -191,7 +184,7 @@ def _measure_stars(
         psf_sigma_error_px=_median_error(each_sigma_px[wide], weights),
         trail_px=trail_px[k],
     )
-    return measured, sigma_px
+    return measured, typical_px
 
 
 def _measurable(matches: Matches, saturated: Mask, blended: Mask) -> Mask:
@@ -278,31 +271,6 @@ def _median_error(values: Float, weights: Float) -> float:
     """Return the standard error of `_median`: its scatter over resampled stars (bootstrap)."""
     chosen = np.random.default_rng(0).integers(0, len(values), (_RESAMPLED, len(values)))
     return float(np.std([_median(values[k], weights[k]) for k in chosen]))
-
-
-def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
-    """Return the widths of stars behind a lens over those on the axis, along its two principal directions.
-
-    `xy_px` (n, 2): pixel positions.  Returns (n, 2): 1 without a lens, and for a lens too wide for the renderer.
-    """
-    camera = solution.camera
-    if camera.lens is None or not camera.is_drawable:
-        return np.ones((len(xy_px), 2))
-    xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if solution.mirrored else xy_px
-    _, by_position, _ = projection_jacobian(camera, camera.unproject(xy))
-    # Positions outside the lens's domain have no star.
-    slopes = np.nan_to_num(by_position @ np.linalg.inv(camera.K[:2, :2]), nan=1.0)
-    return np.asarray(np.linalg.svd(slopes, compute_uv=False))
-
-
-def _on_axis(narrower: Float, fitted_px: float, sigma_px: float) -> Float:
-    """Return the amplitudes of stars on the axis over those fitted with one width, (n,).
-
-    The fitted amplitude is the overlap of the model's profile with the star's, over that with itself.
-    """
-    fitted_px2 = fitted_px**2 + PIXEL_VARIANCE_PX2
-    star_px2 = (narrower * sigma_px) ** 2 + PIXEL_VARIANCE_PX2
-    return np.asarray((fitted_px / sigma_px) ** 2 / (2 * fitted_px2) * np.sqrt((fitted_px2 + star_px2).prod(axis=1)))
 
 
 def _moving(

@@ -10,7 +10,6 @@ from glstar.calibrate.geometry.camera import GeometryCalibration
 from glstar.calibrate.identify.platesolution import sidereal_trails
 from glstar.calibrate.photo.psf import draw_stars
 from glstar.calibrate.sensor.calibration import Calibration
-from glstar.calibrate.sensor.fit import lens_scale
 from glstar.calibrate.sensor.misfitmeasurement import corner_distance
 from glstar.sky.catalogue.reading import star_label
 
@@ -134,9 +133,7 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
     trail_px = (
         sidereal_trails(matches.solution, xy_px, sensor.reference_exposure_s) if calibration.stars.moved else None
     )
-    area = lens_scale(matches.solution, xy_px).prod(axis=1)
-    sigma_px = sensor.psf_sigma_px * np.sqrt(area)
-    light = draw_stars((shape[0], shape[1]), xy_px, peak_dn / area, sigma_px, trail_px=trail_px)
+    light = draw_stars((shape[0], shape[1]), xy_px, peak_dn, sensor.psf_sigma_px, trail_px=trail_px)
     sky = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, shape)
     return np.asarray(np.clip(np.floor(light + sky + 0.5), 0, sensor.saturation_dn))
 
@@ -281,12 +278,11 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     measured = pixels[rows, columns]
     peak_dn = sensor.peak_dn([stars.vmag[k]], sensor.reference_exposure_s)
     axes_at = stars.xy_px[k : k + 1] - [columns.start, rows.start]
-    area = lens_scale(calibration.matches.solution, stars.xy_px[k : k + 1]).prod(axis=1)
     drawn = sensor.sky_mean_dn + draw_stars(
         (measured.shape[0], measured.shape[1]),
         axes_at,
-        peak_dn / area,
-        sensor.psf_sigma_px * np.sqrt(area),
+        peak_dn,
+        sensor.psf_sigma_px,
         trail_px=stars.trail_px[k : k + 1] if stars.moved else None,
     )
     X, Y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))

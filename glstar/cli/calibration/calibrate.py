@@ -28,7 +28,7 @@ Output = Annotated[
 ]
 Fov = Annotated[
     float | None,
-    typer.Option(help="Width of the view, deg, to 15 %.", min=1, max=180, show_default="the config's camera"),
+    typer.Option(help="Width of the view, deg, to 15 %.", min=1, max=300, show_default="the config's camera"),
 ]
 ExposureTimes = Annotated[
     list[float] | None,

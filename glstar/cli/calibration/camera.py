@@ -292,9 +292,11 @@ def _description(camera: Camera) -> list[str]:
     }
     views = []
     for name, ends in sides.items():
-        a, b = camera.unproject(ends)
-        cosine = a @ b / np.sqrt((a @ a) * (b @ b))
-        views.append(f"{np.rad2deg(np.arccos(cosine)):.2f} deg {name}" if np.isfinite(cosine) else f"dark {name}")
+        a, middle, b = camera.unit_vectors([ends[0], (middle_x, middle_y), ends[1]])
+        view_rad = np.arccos(np.clip([a @ middle, middle @ b], -1.0, 1.0)).sum()  # beyond 180 deg too
+        views.append(f"{np.rad2deg(view_rad):.2f} deg {name}" if np.isfinite(view_rad) else f"dark {name}")
+    if camera.lens is not None:
+        views.append(f"up to {np.rad2deg(camera.field_radius_rad):.2f} deg off the axis")
     return [
         f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.2f}, {camera.fy_px:.2f} px,"
         f" principal point ({camera.cx_px:.2f}, {camera.cy_px:.2f})"

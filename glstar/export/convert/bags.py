@@ -30,6 +30,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from glstar.arrays import Float
+from glstar.camera.distortion import COEFFICIENTS
 from glstar.errors import ExportError
 from glstar.export.directory import explain_disk_errors, image_path
 from glstar.export.imagefiles.formats import decode
@@ -44,10 +45,9 @@ _WORLD, _BODY, _CAMERA = "map", "base_link", "camera_optical"
 _HALF = float(np.sqrt(0.5))
 _Q_ENU_NED = np.array([0.0, _HALF, _HALF, 0.0])
 _Q_FLU_FRD = np.array([0.0, 1.0, 0.0, 0.0])
-# Distortion models of ROS, by the lenses of glstar, and their number of coefficients.
-_LENSES = {
+# Distortion models by the lenses of glstar, and their number of coefficients.  ROS has names for the first three.
+_LENSES = {name: (name, len(coefficients)) for name, coefficients in COEFFICIENTS.items()} | {
     "none": ("plumb_bob", 5),
-    "plumb_bob": ("plumb_bob", 5),
     "rational": ("rational_polynomial", 8),
     "fisheye": ("equidistant", 4),
 }

@@ -1,6 +1,7 @@
 """16-bit FITS files with a header on exposure, sensor, site and world coordinates.
 
-World coordinates are a tangent plane with polynomial distortion (TAN-SIP). The fit relates pixels to astrometric
+World coordinates are a zenithal projection with polynomial distortion (SIP): the tangent plane (TAN), or for a wide
+lens its own projection as a polynomial of the angle from the axis (ZPN). The fit relates pixels to astrometric
 directions: ICRS at the epoch of the image, as a catalogue gives them after proper motion and parallax. It contains the
 lens, refraction, annual and diurnal aberration, precession and nutation.
 """
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
+from glstar.camera.model import Camera
 from glstar.render.motion.pointing import Pointing
 from glstar.render.scene.scene import Frame, Scene
 from glstar.sky.place.timescale import format_utc
@@ -36,13 +38,24 @@ _REFRACTION_STEPS = 25
 _CONVERGED_RAD = 1e-9
 
 
+# Largest relative change of the polynomial's scale over the image at which it is inverted by iteration, as astropy's
+# all_world2pix does; of a lens at which the tangent plane changes more, the projection is that of the lens.
+_INVERTIBLE = 0.5
+# Powers of the angle in that projection, ZPN.
+_POWERS = np.arange(1, 20, 2)
+# Points along each side of the image at which the scale is evaluated.
+_SCALE_NODES = 9
+
+
 @dataclass(frozen=True, eq=False)
-class TanSip:
+class SipCoordinates:
     """World coordinates of an image, in the terms of the SIP convention."""
 
+    # (k,) coefficients of the angle's `_POWERS` in the projection ZPN; empty for the tangent plane.
+    radial: Float
     crpix_px: Float  # (2,) the reference pixel (x, y), counted from 0
     crval_rad: Float  # (2,) right ascension and declination (ICRS) of the reference pixel, rad
-    cd_rad: Float  # (2, 2) matrix from pixels to the tangent plane, rad/px
+    cd_rad: Float  # (2, 2) matrix from pixels to the plane of the projection, rad/px
     # (order + 1, order + 1) coefficients of the forward and the inverse polynomial; ``a[i, j]`` belongs to u^i v^j.
     a: Float
     b: Float
@@ -58,18 +71,18 @@ class TanSip:
         return len(self.a) - 1
 
 
-def fit_tan_sip(scene: Scene) -> TanSip | None:
+def fit_sip(scene: Scene) -> SipCoordinates | None:
     """Fit the world coordinates of an image in the middle of its exposure, of a rolling shutter that of each row.
 
     None if too little of the image lies above the horizon to fit a polynomial. Shupe et al. 2005, *ASP Conf. Ser.* 347,
-    491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN).
+    491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN, ZPN).
     """
     sky = _SkyOfPixels(scene)
     nodes = _grid(scene, np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES))
     tests = _grid(scene, np.linspace(-1, 1, _VALIDATION_NODES))
     nodes, plane = _above_horizon(nodes, sky.plane(nodes))
     tests, expected = _above_horizon(tests, sky.plane(tests))
-    best: TanSip | None = None
+    best: SipCoordinates | None = None
     for order in _ORDERS:
         if len(nodes) < 4 * len(_exponents(order)) or not len(tests):
             break
@@ -81,11 +94,35 @@ def fit_tan_sip(scene: Scene) -> TanSip | None:
     return best
 
 
+def _radial_of(camera: Camera) -> Float:
+    """Return `SipCoordinates.radial` of a camera: the tangent plane where the polynomial can be inverted."""
+    lens = camera.lens
+    if lens is None:
+        return np.zeros(0)
+    columns, rows = (np.linspace(-0.5, side - 0.5, _SCALE_NODES) for side in (camera.width_px, camera.height_px))
+    seen = camera.unit_vectors(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
+    seen = seen[np.isfinite(seen).all(axis=1) & (seen[:, 2] < 1)]
+    # Along the radius and at right angles to it; of the tangent plane 1 / cos^2 and 1 / cos.
+    scale_px = np.linalg.norm(camera.px_per_rad(seen), axis=1)
+    scale_px /= np.linalg.norm(camera.px_per_rad([0.0, 0.0, 1.0]), axis=0).mean()
+    cosine = seen[:, 2:]
+    if (cosine > 0).all() and np.abs(cosine ** [-2.0, -1.0] / scale_px - 1).max() < _INVERTIBLE:
+        return np.zeros(0)
+    # Up to just within the limit of the lens.
+    farthest_rad = min((1 + 2 * _MARGIN) * camera.field_radius_rad, 0.9999 * camera.limit_rad)
+    part = np.sin(np.linspace(0, np.pi / 2, 500))[1:]
+    radius = lens.radius(part * farthest_rad) / lens.radius(1e-6) * 1e-6
+    weight = 1 / part
+    scaled, *_ = np.linalg.lstsq((part[:, np.newaxis] ** _POWERS) * weight[:, np.newaxis], radius * weight, rcond=None)
+    return np.asarray(scaled / farthest_rad**_POWERS)
+
+
 class _SkyOfPixels:
-    """The astrometric directions of the pixels of one scene, and their tangent plane."""
+    """The astrometric directions of the pixels of one scene, and the plane of their projection."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
+        self.radial = _radial_of(scene.camera)
         # Earth's barycentric velocity in units of the speed of light, ICRS; the stars are of this epoch.
         utc_jd = 2440587.5 + scene.stars.epoch_utc_s / 86400
         _, barycentric = erfa.epv00(2400000.5, utc_jd - 2400000.5)
@@ -106,11 +143,15 @@ class _SkyOfPixels:
         )
 
     def plane(self, xy_px: Float) -> Float:
-        """Return tangent-plane coordinates (xi to the east, eta to the north) of pixels, (n, 2) rad; NaN for no sky."""
+        """Return projected coordinates (to the east, to the north) of pixels, (n, 2) rad; NaN for no sky."""
         east, north, ahead = (self._icrs(self._unrefracted(xy_px, _REFRACTION_STEPS)) @ self._axes.T).T
-        in_front = ahead > 0
-        ahead = np.where(in_front, ahead, np.nan)
-        return np.column_stack([east / ahead, north / ahead])
+        if not self.radial.size:
+            ahead = np.where(ahead > 0, ahead, np.nan)
+            return np.column_stack([east / ahead, north / ahead])
+        across = np.hypot(east, north)
+        angle_rad = np.arctan2(across, ahead)[:, np.newaxis]
+        scale = (angle_rad**_POWERS @ self.radial) / np.where(across > 0, across, 1.0)
+        return np.column_stack([east * scale, north * scale])
 
     def _unrefracted(self, xy_px: Float, steps: int) -> Float:
         """Return the geocentric apparent directions whose stars are drawn at pixels, (n, 3); NaN below the horizon."""
@@ -191,8 +232,8 @@ def _terms(points: Float, exponents: list[tuple[int, int]]) -> Float:
     return np.stack([powers[:, 0, i] * powers[:, 1, j] for i, j in exponents], axis=1)
 
 
-def _fitted(order: int, nodes: Float, plane: Float, tests: Float, expected: Float, sky: _SkyOfPixels) -> TanSip:
-    """Fit polynomials of one order to pixels and tangent-plane coordinates, and measure their errors on others."""
+def _fitted(order: int, nodes: Float, plane: Float, tests: Float, expected: Float, sky: _SkyOfPixels) -> SipCoordinates:
+    """Fit polynomials of one order to pixels and projected coordinates, and measure their errors on others."""
     inverse = _Polynomial.fit(plane, nodes, _exponents(order))
     crpix_px = inverse(np.zeros((1, 2)))[0]
     without_constant = _exponents(order)[1:]
@@ -212,7 +253,8 @@ def _fitted(order: int, nodes: Float, plane: Float, tests: Float, expected: Floa
     jacobian = np.stack(columns, axis=-1) / (2 * step)
     error_px = np.linalg.norm(np.linalg.solve(jacobian, wrong[..., np.newaxis])[..., 0], axis=1)
     inverse_px = np.linalg.norm(linear_tests + back(linear_tests) - (tests - crpix_px), axis=1)
-    return TanSip(
+    return SipCoordinates(
+        radial=sky.radial,
         crpix_px=crpix_px,
         crval_rad=sky.crval_rad,
         cd_rad=cd_rad,
@@ -284,7 +326,7 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int, shift_bits: int = 0)
         ("BSCALE", 1 if not shift_bits else 2.0**-shift_bits, "" if not shift_bits else "numbers in the highest bits"),
         *_exposure_cards(scene, frame, number),
         *_sensor_cards(scene),
-        *_wcs_cards(fit_tan_sip(scene)),
+        *_wcs_cards(fit_sip(scene)),
         ("DATASUM", str(_ones_complement_sum(data)), "checksum of the data"),
         ("CHECKSUM", "0" * 16, "checksum of the whole file"),
     ]
@@ -370,13 +412,16 @@ _SENSOR_KEYWORDS = (
 )
 
 
-def _wcs_cards(wcs: TanSip | None) -> Iterator[Card]:
+def _wcs_cards(wcs: SipCoordinates | None) -> Iterator[Card]:
     if wcs is None:
         return
     yield "WCSAXES", 2, "middle of the exposure"
-    yield "CTYPE1", "RA---TAN-SIP", "astrometric place of the epoch"
-    yield "CTYPE2", "DEC--TAN-SIP", ""
+    projection = "ZPN" if wcs.radial.size else "TAN"
+    yield "CTYPE1", f"RA---{projection}-SIP", "astrometric place of the epoch"
+    yield "CTYPE2", f"DEC--{projection}-SIP", ""
     yield "RADESYS", "ICRS", ""
+    for power, coefficient in zip(_POWERS, wcs.radial, strict=False):
+        yield f"PV2_{power}", coefficient, "of the angle from the reference, rad" if power == 1 else ""
     for axis in (0, 1):
         yield f"CRPIX{axis + 1}", wcs.crpix_px[axis] + 1, "px from 1"
         yield f"CRVAL{axis + 1}", degrees(wcs.crval_rad[axis]), "deg"

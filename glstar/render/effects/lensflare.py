@@ -56,8 +56,7 @@ def _flare_dn(scene: Scene, xy_px: Float, rays: Float) -> Float:
     values = FLARE.values(scene.sensor)
     camera = scene.camera
     flare = np.zeros(xy_px.shape[:-1])
-    # Projected solid angles: those of a pinhole's pixels, cos^3, times the cosine of their direction.
-    pixel_sr = rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px)
+    pixel_sr = _projected_solid_angles_sr(camera, rays)
     for source in _sources(values, scene):
         cosine = float(source.direction[2])
         if cosine <= np.cos(np.deg2rad(float(values["hood_deg"]))) or cosine <= 0:
@@ -66,10 +65,19 @@ def _flare_dn(scene: Scene, xy_px: Float, rays: Float) -> Float:
         entering_dn = source.flux_dn * cosine
         if entering_dn < _FAINTEST_DN * camera.width_px * camera.height_px:
             continue
-        flare += entering_dn * float(values["scatter"]) * _scattered(values, rays @ source.direction) * pixel_sr
+        scattered = _scattered(values, np.nan_to_num(rays @ source.direction))
+        flare += entering_dn * float(values["scatter"]) * scattered * pixel_sr
         flare += entering_dn * _ghosts(values, camera, source.direction, xy_px)
         flare += entering_dn * _streak(values, camera, source.direction, xy_px)
     return flare
+
+
+def _projected_solid_angles_sr(camera: Camera, rays: Float) -> Float:
+    """Return the solid angles of pixels in some directions, (...), times the cosines of these."""
+    if camera.lens is None:
+        return np.asarray(rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px))
+    px2_per_sr = np.abs(np.linalg.det(camera.px_per_rad(rays)))
+    return np.asarray(np.nan_to_num(np.maximum(rays[..., 2], 0.0) / np.maximum(px2_per_sr, 1.0)))
 
 
 def _sources(values: Values, scene: Scene) -> list[_Source]:
@@ -106,8 +114,8 @@ def _scattered(values: Values, cosine: Float) -> Float:
 
 
 def _source_px(camera: Camera, direction: Float) -> Float:
-    """Return where a source would be on the plane of the image, px."""
-    return np.asarray(camera.pinhole.project(direction[np.newaxis])[0])
+    """Return where a source is on the plane of the image, px; NaN beyond the limit of the lens."""
+    return np.asarray(camera.project(direction[np.newaxis])[0])
 
 
 def _ghosts(values: Values, camera: Camera, direction: Float, xy_px: Float) -> Float:

@@ -1,7 +1,8 @@
 """Division of an exposure into the segments of analytic trails, and the error bound that decides it.
 
 Within a segment the vector to a star is taken as a quadratic function of time through its values at the start, the
-middle and the end.  A pinhole projects it to a conic, which also represents a steady rotation (`starpaths`).
+middle and the end.  A pinhole projects it to a conic, which also represents a steady rotation (`starpaths`); a lens to
+another curve, of which positions at these times and the rates at both ends are drawn.
 `trail.frag` integrates the flux along such a path in closed form.  Segments are as long as the error bound allows,
 whatever the motion: one may do for a steady rotation by several degrees, while one period of a vibration takes several.
 """
@@ -15,16 +16,12 @@ import numpy as np
 from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
-from glstar.render.motion.starpaths import end_weights, probe_rays
-from glstar.render.motion.trailmodels import SegmentLimit, SpriteCost
+from glstar.render.motion.starpaths import end_rates_px, end_weights, probe_rays
 from glstar.rotation import turn_from_matrix
 from glstar.sky.air.refraction import refraction_displacement
 
 # Start and end times of segments, (segments,) each, UTC seconds since 1970.
 Segments = tuple[Float, Float]
-# Probe paths, (times, segments, probes, 2) px, and the error of each segment divided by the tolerance, (segments,):
-# acceptable up to 1, NaN if unknown.
-Evaluated = tuple[Float, Float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +56,8 @@ class Refinement:
     # more there are.
     max_parts: int = 24
     unknown_parts: int = 4  # Number of parts where the error is unknown
-    # Whether sprites are cheaper is tested with this fraction of the break-even number of segments.
-    sprite_margin: float = 0.7
+    # Whether a number of segments suffices is tested with this fraction of it.
+    trial_fraction: float = 0.7
 
 
 TOLERANCES = Tolerances()
@@ -82,33 +79,32 @@ def segment_times(
     camera: Camera,
     sigma_px: float,
     *,
-    sprite_cost: SpriteCost | SegmentLimit | None = None,
+    most: int | None = None,
     position_px: float = TOLERANCES.position_px,
 ) -> Float | None:
     """Return the ends and the middles of the segments of an exposure, (2 m + 1,) UTC seconds since 1970.
 
     They are the start, the middle and the end of the first segment, which is the start of the second, and so on; None
-    if the motion is so rough that sprites cost less.
+    if the motion is so rough that it takes more segments than `most`.
 
     - `nodes_s` (n,): start and end of the exposure, and between them the samples of the log, where the turn rate may
       change discontinuously.  A segment is divided at a rate discontinuity, or evenly if it contains none.
-    - `camera`: errors are evaluated at nine points of its field: corners, middles of the sides and centre.  Behind a
-      lens trails are drawn in the undistorted image plane and distorted afterwards.
+    - `camera`: errors are evaluated at nine points of its field: corners, middles of the sides and centre; behind a
+      lens at 25.
     - `sigma_px`: standard deviation of a star as the pixels record it, px.
-    - `sprite_cost`: cost of drawing the exposure as sub-exposures instead, or the maximum number of segments.
     - `position_px`: largest distance between a star's true and drawn positions at the same time, px.
     """
     evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px, position_px)
     segments = nodes_s[:1], nodes_s[-1:]
-    if sprite_cost is None:
+    if most is None:
         evaluated = evaluator.evaluate(segments)
     else:
         # Both are evaluated in one request: see `_SegmentEvaluator.evaluate`.
-        parts = _trial_parts(nodes_s, sprite_cost)
+        parts = _trial_parts(nodes_s, most)
         evaluated = evaluator.evaluate(parts, segments)
-        if _sprites_are_cheaper(evaluator, parts, *next(evaluated), sprite_cost):
+        if _takes_more(evaluator, parts, next(evaluated), most):
             return None
-    _, excess = next(evaluated)
+    excess = next(evaluated)
     starts = np.sort(np.concatenate([begins for begins, _ in evaluator.refined(segments, excess)]))
     times = np.empty(2 * len(starts) + 1)
     times[:-1:2] = starts
@@ -117,28 +113,21 @@ def segment_times(
     return times
 
 
-def _trial_parts(nodes_s: Float, sprite_cost: SpriteCost | SegmentLimit) -> Segments:
-    """Return equal parts of an exposure, somewhat fewer than the segments that cost as much as sub-exposures.
+def _trial_parts(nodes_s: Float, most: int) -> Segments:
+    """Return equal parts of an exposure, somewhat fewer than a number of segments.
 
-    If several of them have to be divided, segments cost more.
+    If several of them have to be divided, it takes more segments.
     """
-    count = max(1, int(REFINEMENT.sprite_margin * sprite_cost.in_segments(0.0)))
-    marks_s = np.linspace(nodes_s[0], nodes_s[-1], count + 1)
+    marks_s = np.linspace(nodes_s[0], nodes_s[-1], max(1, int(REFINEMENT.trial_fraction * most)) + 1)
     return marks_s[:-1], marks_s[1:]
 
 
-def _sprites_are_cheaper(
-    evaluator: "_SegmentEvaluator", parts: Segments, xy: Float, excess: Float, sprite_cost: SpriteCost | SegmentLimit
-) -> bool:
-    """Return whether an exposure, of which `parts` have been evaluated, needs more segments than sprites cost."""
-    if (excess <= 1.0).all():
-        return False
-    steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
-    max_segments = sprite_cost.in_segments(float(np.nansum(steps_px, axis=(0, 1)).max()))
+def _takes_more(evaluator: "_SegmentEvaluator", parts: Segments, excess: Float, most: int) -> bool:
+    """Return whether an exposure, of which `parts` have been evaluated, takes more segments than a number."""
     accepted = 0
     for begins, remaining in evaluator.refined(parts, excess):
         accepted += len(begins)
-        if accepted + remaining > max_segments:
+        if remaining and accepted + remaining > most:
             return True
     return False
 
@@ -156,8 +145,8 @@ class _SegmentEvaluator:
         self._position_px = position_px
         self._at_nodes: Pointing | None = None
 
-    def evaluate(self, *several: Segments) -> Iterator[Evaluated]:
-        """Yield for each set of segments the probe paths, and each segment's error divided by the tolerance."""
+    def evaluate(self, *several: Segments) -> Iterator[Float]:
+        """Yield for each set of segments the error of each divided by the tolerance; NaN if unknown."""
         elapsed = [self._elapsed(begins, ends) for begins, ends in several]
         times_s = [_times_s(*of_segments, at) for of_segments, at in zip(several, elapsed, strict=True)]
         # The nodes are requested with the first samples, because a request costs more than its times.
@@ -166,12 +155,12 @@ class _SegmentEvaluator:
         else:
             pointings = self._motion.pointings(*times_s)
         for (begins, ends), at, pointing in zip(several, elapsed, pointings, strict=True):
-            xy, depth = _probe_paths(pointing, len(begins), self._camera)
+            xy, rates_px = _probe_paths(pointing, len(begins), self._camera)
             length_s = ends - begins
             fraction = length_s / (self._nodes_s[-1] - self._nodes_s[0])
-            excess = segment_excess(xy, depth, fraction, self._sigma_px, self._position_px, at)
+            excess = segment_excess(xy, rates_px, fraction, self._sigma_px, self._position_px, at)
             excess[length_s < REFINEMENT.shortest_s] = 0.0
-            yield xy, excess
+            yield excess
 
     def _elapsed(self, begins: Float, ends: Float) -> Float:
         """Return the elapsed fractions of segments at which they are evaluated, (times, segments).
@@ -196,7 +185,7 @@ class _SegmentEvaluator:
             accepted = begins[acceptable]
             begins, ends = self._divided(begins[~acceptable], ends[~acceptable], excess[~acceptable])
             yield accepted, len(begins)
-            _, excess = next(self.evaluate((begins, ends)))
+            excess = next(self.evaluate((begins, ends)))
         yield begins, 0
 
     def _divided(self, begins: Float, ends: Float, excess: Float) -> Segments:
@@ -248,8 +237,8 @@ def _even_parts(begins: Float, ends: Float, excess: Float) -> Segments:
 def _probe_paths(pointing: Pointing, segments: int, camera: Camera) -> tuple[Float, Float]:
     """Return the paths of probes, stars all over the field in the middle of each segment.
 
-    Positions, (times, segments, 9, 2) px, and the depths at the segments' starts, middles and ends, (3, segments, 9),
-    the ends multiplied by their projective weights.
+    Positions, (times, segments, probes, 2) px, and the rates at which segments start and end, (2, segments, probes, 2):
+    see `end_rates_px`.
     """
     C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
     times = C.shape[1]
@@ -260,13 +249,13 @@ def _probe_paths(pointing: Pointing, segments: int, camera: Camera) -> tuple[Flo
     observed = directions[:, np.newaxis] + velocity_eq[..., np.newaxis]
     observed += refraction[:, :, np.newaxis] * zenith_eq[..., np.newaxis]
     in_camera = (C @ observed).transpose(1, 0, 3, 2)
-    depth = in_camera[[0, times // 2, -1], ..., 2]
-    depth[[0, 2]] *= end_weights(C[:, 0], C[:, -1])[:, np.newaxis]
-    return camera.pinhole.project(in_camera), depth
+    weight = end_weights(C[:, 0], C[:, -1])[:, np.newaxis, np.newaxis]
+    ends = in_camera[0] * weight, in_camera[times // 2], in_camera[-1] * weight
+    return camera.project(in_camera), end_rates_px(camera, *ends)
 
 
 def segment_excess(
-    xy: Float, depth: Float, time_fraction: Float, sigma_px: float, position_px: float, elapsed: Float | None = None
+    xy: Float, rates_px: Float, time_fraction: Float, sigma_px: float, position_px: float, elapsed: Float | None = None
 ) -> Float:
     """Return the error of segments divided by the tolerance, (segments,), of what `_probe_paths` returns.
 
@@ -286,7 +275,9 @@ def segment_excess(
     # Most exposures need only one of the two.
     if np.count_nonzero(short) < short.size:
         t = _even_fractions(len(s))[:, np.newaxis] if elapsed is None else elapsed
-        off_px, error = _curved_path_error(s, p, t[..., np.newaxis], depth, length, sigma_px)
+        rate_x, rate_y = rates_px[..., 0], rates_px[..., 1]
+        rates = np.stack([rate_x * along_x + rate_y * along_y, rate_y * along_x - rate_x * along_y])
+        off_px, error = _curved_path_error(s, p, t[..., np.newaxis], rates, length, sigma_px)
     if np.count_nonzero(short):
         if elapsed is not None:
             s, p = (np.concatenate([of[:1], of[2:-2], of[-1:]]) for of in (s, p))
@@ -324,25 +315,24 @@ def _two_gaussians_error(s: Float, p: Float, length: Float, sigma_px: float) -> 
 
 
 def _curved_path_error(
-    s: Float, p: Float, t: Float, depth: Float, length: Float, sigma_px: float
+    s: Float, p: Float, t: Float, rates: Float, length: Float, sigma_px: float
 ) -> tuple[Float, Float]:
     """Return the largest position error, px, and the flux error of a curved path, (segments, probes) both.
 
     The curve and its flux per length are those of `curved_path` in `star_path.frag`; positions of the same time are
     compared.  Parameters as for `_two_gaussians_error`, but `t`, the elapsed fractions, (times, segments or 1, 1), and
-    `depth`, which is `_probe_paths`'s.
+    `rates` (2, 2, segments, probes): of s and p, at the start and the end, px.
     """
     half = len(s) // 2
     safe_length = np.maximum(length, 1e-9)
     x, offset = s / safe_length, p[half] / safe_length
-    depth_start, depth_end = depth[0] / depth[1], depth[2] / depth[1]
-    rate_start, rate_end = 4 * x[half] - depth_end, 4 - 4 * x[half] - depth_start
+    (rate_start, rate_end), (across_start, across_end) = rates / safe_length
     slowest = 1 / SHAPE_LIMITS.max_end_flux
     is_drawn = np.minimum(rate_start, rate_end) > slowest
     rate_start, rate_end = np.maximum(rate_start, slowest), np.maximum(rate_end, slowest)
     flux_slope = 4 * x[half] - 2
-    flux_curvature = 0.75 * (depth_start / rate_start + depth_end / rate_end) - 1.5
-    asymmetry = 2 * offset * (1 / rate_end - 1 / rate_start)
+    flux_curvature = 0.75 * (1 / rate_start + 1 / rate_end) - 1.5
+    asymmetry = -(across_start / rate_start + across_end / rate_end) / 2
     curvature = offset / np.maximum(x[half] * (1 - x[half]), 0.05) - asymmetry * (2 * x[half] - 1)
     is_drawn &= np.abs(flux_slope) + np.abs(flux_curvature) < SHAPE_LIMITS.max_flux_variation
 

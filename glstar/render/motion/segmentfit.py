@@ -16,7 +16,7 @@ from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.segmentation import TOLERANCES, segment_excess
-from glstar.render.motion.starpaths import end_weights, probe_rays
+from glstar.render.motion.starpaths import end_rates_px, end_weights, probe_rays
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn, turn_from_matrix
 from glstar.sky.air.refraction import refraction_displacement
@@ -138,7 +138,7 @@ def fitted_segments(
     order.
 
     - `nodes_s` (n,): the exposure's start and end, and the samples of the log between them, UTC seconds since 1970.
-    - `camera`: errors are evaluated at nine points of its field: corners, middles of the sides and centre.
+    - `camera`: errors are evaluated at the probes of its field (`starpaths.probe_rays`).
     - `sigma_px`, `psf_sigma_px`: standard deviation of a star as the pixels record it, and without the pixel, px.
     - `tolerance_px`: largest distance between a star's true and fitted positions at the same time, px; positive.
     - `position_px`: largest distance between its fitted position and where the shaders draw it, px.
@@ -376,7 +376,7 @@ class SegmentFit:
         start, middle, end = (
             _observed(self.nodes[k : 2 * len(directions) + k - 1 + (k < 2) : 2], directions) for k in range(3)
         )
-        project = camera.pinhole.project
+        project = camera.project
         vectors = np.einsum("nk,knij->nij", self.basis, np.stack([of[self.segment] for of in (start, middle, end)]))
         true = _observed(self.sampled, directions[self.segment])
         off = project(np.swapaxes(vectors, 1, 2)) - project(np.swapaxes(true, 1, 2))
@@ -386,16 +386,17 @@ class SegmentFit:
         # A quadratic passes close to few samples, whatever is between them.
         if self.bends:
             deviation_px[np.diff(first, append=len(distance_px)) < LIMITS.few_samples] *= LIMITS.between_few
-        path, depth = _sampled_path(start * self._weight, middle, end * self._weight)
-        drawn = segment_excess(project(path), depth, self.time_fraction, sigma_px, position_px)
+        ends = start * self._weight, middle, end * self._weight
+        rates_px = end_rates_px(camera, *(np.swapaxes(of, 1, 2) for of in ends))
+        drawn = segment_excess(project(_sampled_path(*ends)), rates_px, self.time_fraction, sigma_px, position_px)
         return deviation_px / tolerance_px, drawn
 
 
-def _sampled_path(start: Float, middle: Float, end: Float) -> tuple[Float, Float]:
-    """Return vectors along quadratic segments, (9, m, probes, 3), and their depths at start, middle and end."""
+def _sampled_path(start: Float, middle: Float, end: Float) -> Float:
+    """Return vectors along quadratic segments, (9, m, probes, 3)."""
     u = (np.arange(9) / 8)[:, np.newaxis, np.newaxis, np.newaxis]
     vectors = (1 - u) * (1 - 2 * u) * start + 4 * u * (1 - u) * middle + u * (2 * u - 1) * end
-    return np.swapaxes(vectors, 2, 3), np.stack([start[:, 2], middle[:, 2], end[:, 2]])
+    return np.swapaxes(vectors, 2, 3)
 
 
 def _observed(pointing: Pointing, directions: Float) -> Float:

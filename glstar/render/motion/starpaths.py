@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from math import ceil, pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
+from glstar.camera.distortion import LENS_MODELS
 from glstar.camera.model import Camera
 
 # Pixel positions that are computed together: 32768 of them, 512 KiB, stay in the processor's cache.
@@ -46,9 +48,10 @@ class SampledPaths:
         """Sum of the samples weighted by their time fractions, (2, m) px; NaN where any sample is NaN."""
         return np.stack([self.time_fraction @ coordinate for coordinate in self.xy_px])
 
-    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
+    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:  # noqa: ARG002
         """Yield positions of the stars with some indices, (k,), a block of times at a time.
 
+        `finer`: into how many parts `ConicPaths` divides those that it has.
         Yields `xy_px` (n, k, 2): positions (x, y), px, NaN behind the camera and below the horizon; and
         `time_fraction` (n,): fraction of the exposure that each sample represents.
         """
@@ -61,7 +64,7 @@ class ConicPaths:
     """Paths of m stars over an exposure as analytic trails draw them: one conic per segment.
 
     In each of s segments the vector to a star is a quadratic function of time through its values at the segment's
-    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve), which a lens distorts.
+    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve), a lens to another curve.
     """
 
     camera: Camera
@@ -70,14 +73,14 @@ class ConicPaths:
     nodes: Float
     weight: Float  # (s,) projective weight of both ends of each segment: see `end_weights`
     time_fraction: Float  # (s,) duration of each segment as a fraction of the exposure
-    spacing_px: float  # Maximum distance between samples of a star on the image, in the undistorted image plane, px
+    spacing_px: float  # Maximum distance between samples of a star on the image, px
 
     @cached_property
     def sample_counts(self) -> NDArray[np.intp]:
         """Number of equal parts of each segment, (s,); a path is sampled in the middle of each part."""
         chord_px = self.nodes_px[:, 2::2] - self.nodes_px[:, :-2:2]
         length_px = np.sqrt((chord_px * chord_px).sum(axis=0))  # five times as fast as hypot
-        on_image = self.camera.pinhole.contains(self.nodes_px[:, 1::2].transpose(1, 2, 0))
+        on_image = self.camera.contains(self.nodes_px[:, 1::2].transpose(1, 2, 0))
         longest_px = np.fmax.reduce(length_px, axis=1, where=on_image, initial=0.0)
         counts = np.maximum(np.ceil(longest_px / self.spacing_px), np.ceil(_MIN_SAMPLES * self.time_fraction))
         return np.asarray(counts, dtype=np.intp)
@@ -106,23 +109,35 @@ class ConicPaths:
 
     @property
     def bounds_px(self) -> Float:
-        """`SampledPaths.bounds_px`, or slightly larger bounds; in the undistorted image plane."""
+        """`SampledPaths.bounds_px`, or slightly larger bounds."""
         start, middle, end = self._weighted
+        if self.camera.lens is not None:
+            return self._sampled_bounds_px
         # A conic does not leave the triangle of its ends and the intersection of the tangents there.
-        apex = _projected(self.camera.pinhole, 2 * middle - (start + end) / 2)
+        apex = _projected(self.camera, 2 * middle - (start + end) / 2)
         ends = self.nodes_px[:, ::2]
         return _bounds(np.minimum(ends.min(axis=1), apex.min(axis=1)), np.maximum(ends.max(axis=1), apex.max(axis=1)))
 
     @property
+    def _sampled_bounds_px(self) -> Float:
+        """The bounds of the ends, the quarters and the middles of segments, and of how far a curve leaves them."""
+        start, middle, end = (self.nodes_px[:, k : self.nodes_px.shape[1] - 2 + k : 2] for k in range(3))
+        early, late = self._quarters_px
+        low = np.minimum(self.nodes_px.min(axis=1), np.minimum(early, late).min(axis=1))
+        high = np.maximum(self.nodes_px.max(axis=1), np.maximum(early, late).max(axis=1))
+        bend_px = np.maximum(np.abs(start - 2 * early + middle), np.abs(middle - 2 * late + end)).max(axis=1) / 4
+        return _bounds(low - bend_px, high + bend_px)
+
+    @property
     def weighted_sum_px(self) -> Float:
-        """The integral of position over the exposure, (2, m) px; in the undistorted image plane."""
+        """The integral of position over the exposure, (2, m) px."""
         return np.stack([self.time_fraction @ coordinate for coordinate in self._ninetieths_px]) / 90
 
     def integral_between(self, begin: Float, end: Float) -> Float:
         """Return the integral of the position of each star between two times of its own, (2, m) px.
 
         `begin`, `end` (m,): elapsed fractions of the exposure since the start of the first segment.  Only the time
-        within the segments counts; positions are in the undistorted image plane.
+        within the segments counts.
         """
         since_start_px = np.zeros((2, len(self.time_fraction) + 1, len(begin)))
         np.cumsum(self._ninetieths_px * (self.time_fraction[:, np.newaxis] / 90), axis=1, out=since_start_px[:, 1:])
@@ -139,13 +154,25 @@ class ConicPaths:
         part = whole + before_end
         parameter = parameter_at(part / whole * QUADRATURE_NODES[:, np.newaxis], self.weight[segment])
         start, rate, bend = _quadratics(*(of[:, segment, star][:, np.newaxis] for of in self._weighted))
-        xy_px = _projected(self.camera.pinhole, start + parameter * (rate + parameter * bend))
+        xy_px = _projected(self.camera, start + parameter * (rate + parameter * bend))
         return np.asarray(part * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px))
 
     @cached_property
     def _ninetieths_px(self) -> Float:
         """Mean positions during each segment, (2, s, m) px, times 90."""
         # Boole's rule: the paths are so smooth that it is exact to float64.
+        early_px, late_px = self._quarters_px
+        ninetieths = early_px + late_px
+        ninetieths *= 32
+        ninetieths += 12 * self.nodes_px[:, 1::2]
+        at_ends = 7 * self.nodes_px[:, ::2]
+        ninetieths += at_ends[:, :-1]
+        ninetieths += at_ends[:, 1:]
+        return ninetieths
+
+    @cached_property
+    def _quarters_px(self) -> tuple[Float, Float]:
+        """Positions at a quarter and at three quarters of the time of each segment, (2, s, m) px each."""
         start, middle, end = self._weighted
         u = parameter_at(np.full(len(self.weight), 0.25), self.weight)[:, np.newaxis]
         between = 4 * u * (1 - u) * middle
@@ -153,14 +180,7 @@ class ConicPaths:
         early, late = (of_near * near + of_far * far for near, far in ((start, end), (end, start)))
         early += between
         late += between
-        ninetieths = _projected(self.camera.pinhole, early)
-        ninetieths += _projected(self.camera.pinhole, late)
-        ninetieths *= 32
-        ninetieths += 12 * self.nodes_px[:, 1::2]
-        at_ends = 7 * self.nodes_px[:, ::2]
-        ninetieths += at_ends[:, :-1]
-        ninetieths += at_ends[:, 1:]
-        return ninetieths
+        return _projected(self.camera, early), _projected(self.camera, late)
 
     def positions(self, segment: NDArray[np.intp], elapsed: Float) -> Float:
         """Return the positions of all stars at some times.
@@ -171,16 +191,16 @@ class ConicPaths:
         parameter = parameter_at(elapsed, self.weight[segment])
         return self.camera.project(_quadratic(self._quadratics(), segment, parameter).transpose(1, 2, 0))
 
-    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
-        """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
+    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:
+        """Yield the positions of some of the stars, as `SampledPaths.samples` does: of finer parts of segments."""
         if not stars.size:
             return
-        quadratics = self._quadratics(stars)
-        segment = np.repeat(np.arange(len(self.sample_counts)), self.sample_counts)
-        first = np.repeat(np.cumsum(self.sample_counts) - self.sample_counts, self.sample_counts)
-        elapsed = (np.arange(len(segment)) - first + 0.5) / self.sample_counts[segment]
+        quadratics, counts = self._quadratics(stars), finer * self.sample_counts
+        segment = np.repeat(np.arange(len(counts)), counts)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        elapsed = (np.arange(len(segment)) - first + 0.5) / counts[segment]
         parameter = parameter_at(elapsed, self.weight[segment])
-        time_fraction = self.time_fraction[segment] / self.sample_counts[segment]
+        time_fraction = self.time_fraction[segment] / counts[segment]
         block_size = times_per_block(len(stars))
         for start in range(0, len(segment), block_size):
             block = slice(start, start + block_size)
@@ -204,8 +224,8 @@ class ConicPaths:
 
     @cached_property
     def nodes_px(self) -> Float:
-        """Columns and rows of all nodes in the undistorted image plane, (2, 2 s + 1, m) px."""
-        return _projected(self.camera.pinhole, self.nodes)
+        """Columns and rows of all nodes, (2, 2 s + 1, m) px."""
+        return _projected(self.camera, self.nodes)
 
 
 def end_weights(starts: Float, ends: Float) -> Float:
@@ -232,6 +252,15 @@ def parameter_at(elapsed: Float, weight: Float) -> Float:
     """
     tangent = np.sqrt(np.maximum(weight - 1, 1e-12))
     return np.asarray(0.5 + 0.5 * np.tan((2 * elapsed - 1) * np.arctan(tangent)) / tangent)
+
+
+def end_rates_px(camera: Camera, start: Float, middle: Float, end: Float) -> Float:
+    """Return how fast the quadratics through weighted vectors begin and end on the image, (2, ..., 2) px per parameter.
+
+    `start`, `middle`, `end` (..., 3): vectors in the camera frame, the ends multiplied by their weights.
+    """
+    rates = np.stack([4 * middle - 3 * start - end, start - 4 * middle + 3 * end])
+    return camera.project_with_rates(np.stack([start, end]), rates)[1]
 
 
 def _quadratics(start: Float, middle: Float, end: Float) -> tuple[Float, Float, Float]:
@@ -263,12 +292,62 @@ def _bounds(low: Float, high: Float) -> Float:
 # Every exposure of a flight has the same camera.
 @lru_cache(maxsize=64)
 def probe_rays(camera: Camera) -> NDArray[np.float64]:
-    """Return the directions of the probes in the camera frame, (3, 9 or less) unit vectors."""
-    columns, rows = (
-        (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
-    )
-    rays = camera.unproject([(x, y) for y in rows for x in columns]).T
-    rays = rays[:, np.isfinite(rays).all(axis=0)]
-    rays /= np.linalg.norm(rays, axis=0)
+    """Return the directions of the probes in the camera frame, (3, k) unit vectors: 9, behind a lens 25 or less.
+
+    Behind a lens that ends on the image, probes near its limit are left out: there a path comes to rest.
+    """
+    places = np.linspace(-0.5, 0.5, 3 if camera.lens is None else 5)
+    columns, rows = (edge * places + (edge - 1) / 2 for edge in (camera.width_px, camera.height_px))
+    rays = camera.unit_vectors([(x, y) for y in rows for x in columns]).T
+    within_rad = np.pi if camera.lens is None else _PROBED * view_limit_rad(camera)
+    rays = rays[:, np.isfinite(rays).all(axis=0) & (np.arccos(np.clip(rays[2], -1, 1)) < within_rad)]
     rays.flags.writeable = False
     return rays
+
+
+# Part of the largest angle from the axis within which probes are.
+_PROBED = 0.97
+# Directions that a lens without a limit maps are drawn up to these angles: tangents and the antipode have no position.
+_LARGEST_RAD = {True: radians(89.5), False: radians(176.0)}
+# And up to where their distance from the axis is this many times that of the farthest corner.
+_FARTHEST = 4.0
+
+
+@lru_cache(maxsize=64)
+def view_limit_rad(camera: Camera) -> float:
+    """Return the angle from the axis up to which stars are drawn, rad: that of the lens, or far outside the image.
+
+    There a trail begins and ends as at the horizon.
+    """
+    lens = camera.lens
+    if lens is None:
+        return pi / 2
+    first_step = LENS_MODELS[lens.model].radius
+    limit_rad = min(camera.limit_rad, _LARGEST_RAD[first_step is None])
+    if first_step is None:
+        return limit_rad
+    corners = camera.normalized([(x, y) for x in (-0.5, camera.width_px) for y in (-0.5, camera.height_px)])
+    angle_rad = np.linspace(0.0, limit_rad, 2000)[1:-1]
+    with np.errstate(all="ignore"):  # beyond a pole
+        far = ~(np.abs(first_step(lens.coefficients, angle_rad)[0]) < _FARTHEST * np.hypot(*corners.T).max())
+    return float(angle_rad[far.argmax()]) if far.any() else limit_rad
+
+
+def view_radius_rad(camera: Camera, margin_px: float) -> float:
+    """Return the largest angle from the optical axis of a position up to a margin beside the image, or more, rad."""
+    if camera.lens is None:
+        return camera.field_radius_rad + float(np.arctan(margin_px / min(camera.fx_px, camera.fy_px)))
+    return _lens_view_radius_rad(camera, 8 * ceil(margin_px / 8))
+
+
+@lru_cache(maxsize=64)
+def _lens_view_radius_rad(camera: Camera, margin_px: int) -> float:
+    """Return `view_radius_rad` behind a lens."""
+    wider = replace(
+        camera,
+        width_px=camera.width_px + 2 * margin_px,
+        height_px=camera.height_px + 2 * margin_px,
+        cx_px=camera.cx_px + margin_px,
+        cy_px=camera.cy_px + margin_px,
+    )
+    return wider.field_radius_rad

@@ -1,9 +1,8 @@
 """The two trail models: an exposure is summed from sub-exposures, or integrated analytically over segments.
 
 A `TrailModel` holds the camera's orientation over one exposure in the form that its renderer pass consumes, and
-computes from the same numbers where each star is drawn: truth and overlays use that.  ``trail = "auto"`` chooses one by
-a fixed relative cost: output must not depend on the computer that draws it.  `CameraPath` divides segments into pieces,
-each with the mean and the covariance of the motion during it.
+computes from the same numbers where each star is drawn: truth and overlays use that.  `CameraPath` divides segments
+into pieces, each with the mean and the covariance of the motion during it.
 """
 
 from collections.abc import Iterator
@@ -159,13 +158,8 @@ class AnalyticSegments:
     def star_paths(
         self, camera: Camera, direction_eq: ArrayLike, sigma_px: float
     ) -> Iterator[starpaths.SampledPaths | starpaths.ConicPaths]:
-        """Yield conic paths, or behind a lens their samples every 1.5 sigma: see `TrailModel.star_paths`."""
-        paths = self._conic_paths(camera, direction_eq, SAMPLE_SPACING_SIGMA * sigma_px)
-        if camera.lens is None:
-            yield from paths.pieces()
-            return
-        for xy, time_fraction in paths.samples(np.arange(paths.nodes.shape[2])):
-            yield starpaths.SampledPaths(np.moveaxis(xy, -1, 0), time_fraction)
+        """Yield conic paths, sampled every 1.5 sigma: see `TrailModel.star_paths`."""
+        yield from self._conic_paths(camera, direction_eq, SAMPLE_SPACING_SIGMA * sigma_px).pieces()
 
     def _conic_paths(self, camera: Camera, direction_eq: ArrayLike, spacing_px: float) -> starpaths.ConicPaths:
         nodes = self.pointing.to_camera(direction_eq).transpose(2, 0, 1)
@@ -182,33 +176,6 @@ class SubExposureRule:
     def count(self, trail_px: float) -> int:
         """Return the number of sub-exposures for the longest trail: max(min_count, ceil(trail / spacing))."""
         return max(self.min_count, ceil(trail_px / self.spacing_px))
-
-
-# Cost of one analytic segment, in sub-exposures: 1.3 sprites of four sub-exposures each (Mesa llvmpipe, tests/bench).
-SUB_EXPOSURES_PER_SEGMENT = 4 * 1.3
-
-
-@dataclass(frozen=True, slots=True)
-class SpriteCost:
-    """The cost of drawing an exposure as sub-exposures."""
-
-    sub_exposures: SubExposureRule  # How many there are
-    sub_exposures_per_segment: float  # Cost of one analytic segment, in sub-exposures
-
-    def in_segments(self, trail_px: float) -> float:
-        """Return the number of analytic segments that cost as much, given the longest trail on the image, px."""
-        return self.sub_exposures.count(trail_px) / self.sub_exposures_per_segment
-
-
-@dataclass(frozen=True, slots=True)
-class SegmentLimit:
-    """A limit of the number of segments, whatever the trails."""
-
-    count: int
-
-    def in_segments(self, trail_px: float) -> float:  # noqa: ARG002 - as of `SpriteCost`
-        """Return the limit; see `SpriteCost.in_segments`."""
-        return self.count
 
 
 # Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
@@ -234,8 +201,7 @@ class TrailPieces:
 class CameraPath:
     """The orientation of the camera over an exposure as `AnalyticSegments` describe it.
 
-    Times are numbers of segments: 1.5 is the middle of the second.  `camera`: behind a lens trails are drawn in the
-    undistorted image plane.
+    Times are numbers of segments: 1.5 is the middle of the second.
     """
 
     def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
@@ -264,7 +230,7 @@ class CameraPath:
         u = np.tile(np.linspace(0.0, 1.0, _CHORDS + 1), count)
         directions = np.swapaxes(self._middle, 1, 2) @ self._rays
         in_camera = self._orientation(segment, u).reshape(count, _CHORDS + 1, 3, 3) @ directions[:, np.newaxis]
-        xy = self._camera.pinhole.project(np.swapaxes(in_camera, -1, -2))
+        xy = self._camera.project(np.swapaxes(in_camera, -1, -2))
         chords_px = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=1), axis=-1)).max(axis=-1).ravel()
         return np.concatenate([[0.0], np.cumsum(chords_px)])
 
@@ -334,11 +300,9 @@ class CameraPath:
 @lru_cache(maxsize=64)
 def _px_per_turn(camera: Camera) -> Float:
     """Return displacements of the probes in the image, x and y, per rotation vector of the camera, (2, 3, probes)."""
-    rays = starpaths.probe_rays(camera)
-    x, y = rays[:2] / rays[2]
-    per_turn = np.array([[-x * y, -(1 + y * y)], [1 + x * x, x * y], [-y, x]])
-    px = np.array([[camera.fx_px, 0.0], [camera.skew_px, camera.fy_px]])
-    px_per_turn = np.ascontiguousarray(np.moveaxis(np.moveaxis(per_turn, -1, 0) @ px, (2, 1, 0), (0, 1, 2)))
+    rays = starpaths.probe_rays(camera).T
+    rates_px = [camera.project_with_rates(rays, np.cross(axis, rays))[1].T for axis in np.eye(3)]
+    px_per_turn = np.ascontiguousarray(np.stack(rates_px, axis=1))
     px_per_turn.flags.writeable = False
     return px_per_turn
 

@@ -7,22 +7,20 @@ from typing import Self
 
 import moderngl
 
-from glstar.camera.sensor.colourband import Channel
-from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS, Effect, light_keys
 from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
 from glstar.render.opengl.context import headless_context
+from glstar.render.opengl.drawnlens import DrawnLenses
 from glstar.render.opengl.passes.develop import DevelopPass
-from glstar.render.opengl.passes.lensdistortion import DistortionPass
 from glstar.render.opengl.passes.path import drawn_together
 from glstar.render.opengl.passes.subexposure import SubExposurePass, with_drawable_sprites
 from glstar.render.opengl.passes.trail import DrawQueue, TrailPass
-from glstar.render.opengl.targets import FrameReadback, GuardBands, Readback, SignalTarget, Targets
-from glstar.render.opengl.textures import ImageTexture, ReadoutClock, StarTarget, pinhole_clock
+from glstar.render.opengl.targets import FrameReadback, GuardBands, Readback, Targets
+from glstar.render.opengl.textures import ImageTexture, StarTarget, readout_clock
 from glstar.render.readout.stacking import stacked_frame
 from glstar.render.scene.scene import Frame, Scene
-from glstar.render.scene.starcomponents import channel_scenes, gaussian_scenes
+from glstar.render.scene.starcomponents import gaussian_scenes
 
 
 class GLRenderer:
@@ -69,7 +67,6 @@ class GLRenderer:
         self._current: AbstractContextManager[object] = context if owns_context else nullcontext()
         self._owned = ExitStack()
         self._targets: Targets | None = None
-        self._distortion_pass: DistortionPass | None = None
         self._closed = False
         try:
             with self._current:
@@ -94,7 +91,8 @@ class GLRenderer:
         owned.callback(self._stack_texture.release)
         owned.callback(self._drop_targets)
         owned.callback(self._readback.release)
-        owned.callback(self._drop_distortion_pass)
+        self._lenses = DrawnLenses(context)
+        owned.callback(self._lenses.release)
         self._guard_bands = GuardBands(context)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
@@ -291,44 +289,16 @@ class GLRenderer:
         return targets
 
     def _expose_all(self, scene: Scene, targets: Targets) -> None:
-        """Sum the flux of a scene; with a mosaic, of each colour in its pixels."""
-        if scene.camera.lens is None:
-            clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
-            self._expose(self._drawable(gaussian_scenes(scene), scene.sensor), targets, clock)
-        elif scene.sensor.colour.mosaic == "none":
-            self._expose_behind_lens(scene, targets)
-        else:
-            # A pixel behind a lens gathers light of several of the undistorted signal, which then have one colour.
-            for channel, in_channel in channel_scenes(scene).items():
-                self._expose_behind_lens(in_channel, targets, mosaic=(scene, channel))
-
-    def _expose_behind_lens(self, scene: Scene, targets: Targets, mosaic: tuple[Scene, Channel] | None = None) -> None:
+        """Sum the flux of a scene."""
         targets.scene = None  # until it is complete
-        distortion_pass = self._distortion_pass_for(scene)
-        undistorted = distortion_pass.undistorted(scene)
-        guard_band_px = self._guard_bands.of(undistorted)
-        clock = distortion_pass.openings.clock(
-            scene.exposure, undistorted.camera, guard_band_px, distortion_pass.resampling_px2(scene.sensor)
-        )
-        target = distortion_pass.target_for(undistorted, guard_band_px)
-        gaussians = distortion_pass.undistorted_gaussians(scene)
-        oversampling = distortion_pass.oversampling(scene.sensor)
-        self._expose(self._drawable(gaussians, scene.sensor, oversampling), target, clock)
-        whole, channel = mosaic or (scene, None)
-        distortion_pass.resample(whole, targets.light, channel=channel)
-
-    def _drawable(self, gaussians: Sequence[Scene], sensor: Sensor, oversampling: float = 1.0) -> list[Scene]:
-        """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws.
-
-        `sensor`: as the user gave it; `oversampling`: pixels of these scenes per pixel of its image.
-        """
-        core_px = oversampling * sensor.core.psf_sigma_px
-        return [with_drawable_sprites(gaussian, core_px, self._point_size_px, sensor) for gaussian in gaussians]
-
-    def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
-        target.scene = None  # until it is complete
-        queue = DrawQueue(StarTarget(target.light, target.guard_band_px, clock))
-        for scenes in drawn_together(gaussians, clock):
+        core_px = scene.sensor.core.psf_sigma_px
+        gaussians = [
+            with_drawable_sprites(gaussian, core_px, self._point_size_px, scene.sensor)
+            for gaussian in gaussian_scenes(scene)
+        ]
+        clock = readout_clock(scene.exposure, scene.camera, targets.guard_band_px)
+        queue = DrawQueue(StarTarget(targets.light, targets.guard_band_px, clock, self._lenses.of(scene.camera)))
+        for scenes in drawn_together(gaussians, rolling=clock.rows > 0):
             self._add(scenes, queue)
         queue.run()
 
@@ -347,29 +317,12 @@ class GLRenderer:
                 raise TypeError(f"no render pass draws {type(other).__name__}")
 
     def _targets_for(self, scene: Scene) -> Targets:
-        camera = scene.camera
-        if camera.lens is None:
-            guard_band_px = self._guard_bands.of(scene)
-        else:
-            # The undistorted signal has the guard band; the resampled one needs none.
-            self._guard_bands.of(self._distortion_pass_for(scene).undistorted(scene))
-            guard_band_px = 0
+        camera, guard_band_px = scene.camera, self._guard_bands.of(scene)
         key = (camera.width_px, camera.height_px, guard_band_px, scene.sensor.bit_depth > 8)
         if self._targets is None or self._targets.key != key:
             self._drop_targets()
             self._targets = Targets(self.context, *key)
         return self._targets
-
-    def _distortion_pass_for(self, scene: Scene) -> DistortionPass:
-        if self._distortion_pass is None or self._distortion_pass.camera != scene.camera:
-            self._drop_distortion_pass()
-            self._distortion_pass = DistortionPass(self.context, scene.camera)
-        return self._distortion_pass
-
-    def _drop_distortion_pass(self) -> None:
-        if self._distortion_pass is not None:
-            self._distortion_pass.release()
-            self._distortion_pass = None
 
     def _drop_targets(self) -> None:
         if self._targets is not None:

@@ -26,8 +26,6 @@ _PATH_PX = 0.5
 _ROUNDING = 1e-12
 # Speed of stars relative to that of the readout above which no trail is divided.
 _FASTEST = 0.9
-# Behind a lens, how much wider than the star that is drawn the cut through a path may be: variance, relative.
-_MOST_BLURRED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,19 +34,8 @@ class PixelOpenings:
 
     open_time: float  # How long each pixel is open
     per_px: float  # Upper bound of the change of the opening time per pixel
-    reach: float  # How far from a star the pixels are whose rows matter, in truncation radii: 1, and more behind a lens
     # Opening times, (n,), at positions on the image, (n, 2) px; beside the image any.
     at: Callable[[Float], Float]
-
-    @property
-    def fastest(self) -> float:
-        """Speed of stars relative to that of the readout above which no trail is divided.
-
-        Behind a lens, pixels are resampled from several rows.  That blurs where faster paths are cut, which trail.frag
-        corrects and trail_short.frag does not.
-        """
-        resampling = self.reach - 1.0
-        return min(_FASTEST, float(np.sqrt(_MOST_BLURRED * resampling / self.reach))) if resampling else _FASTEST
 
 
 class OpenPieces(NamedTuple):
@@ -80,7 +67,7 @@ class SegmentColumns:
 
 def whole_trails(scene: Scene, trails: AnalyticSegments) -> SegmentColumns:
     """Return the whole trails of a scene's stars as parts."""
-    rises_and_sets = rise_and_set(trails, scene.stars.direction_eq[scene.draw_list.index])
+    rises_and_sets = rise_and_set(trails, scene.stars.direction_eq[scene.draw_list.index], scene.camera)
     return SegmentColumns(np.arange(len(scene.draw_list)), rises_and_sets)
 
 
@@ -111,7 +98,7 @@ def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSp
     trails = scene.trails
     assert isinstance(trails, AnalyticSegments)
     ratio = overtaking(trails, scene.camera, openings)
-    if ratio > openings.fastest:
+    if ratio > _FASTEST:
         return None
     last_opening = 1.0 - openings.open_time
     times, is_inner = _zone_times(trails, 0.0, last_opening)
@@ -144,7 +131,7 @@ def _opening_times(scene: Scene, times: Float, openings: PixelOpenings) -> Float
     assert isinstance(trails, AnalyticSegments)
     table = MotionTable(trails.marks, trails.pointing)
     in_camera = table.at(times).to_camera(scene.stars.direction_eq[scene.draw_list.index], below_horizon=True)
-    xy_px = scene.camera.pinhole.project(in_camera)
+    xy_px = scene.camera.project(in_camera)
     return openings.at(xy_px.reshape(-1, 2)).reshape(xy_px.shape[:-1])
 
 
@@ -241,7 +228,7 @@ def divided_trails(scene: Scene, trails: AnalyticSegments, openings: PixelOpenin
     sigma_px, radius_px = scene.sensor.effective_sigma_px, scene.draw_list.truncation_radius_px
     if not are_worth_dividing(trails, scene.camera, sigma_px):
         return None
-    spans = open_spans(scene, openings.reach * radius_px, openings)
+    spans = open_spans(scene, radius_px, openings)
     if spans is None:
         return None
     path, last_opening = CameraPath(trails, scene.camera), 1.0 - openings.open_time

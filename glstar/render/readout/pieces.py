@@ -114,13 +114,13 @@ def in_pieces(
 ) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
-    None, too, for stars so narrow that they are integrated over the area of a pixel.  `trails`: those of the scene;
+    `trails`: those of the scene;
     `largest_point_px`: the largest point sprite of the driver, px; `openings`: those of a rolling shutter.
     """
     sensor, drawn = scene.sensor, scene.draw_list
-    if sensor.needs_erf or len(trails) < costs.min_segments:
+    if len(trails) < costs.min_segments:
         return None
-    rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
+    rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index], scene.camera).T
     is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)
     path, parts, is_rest = CameraPath(trails, scene.camera), [], np.ones(len(drawn), np.bool_)
     for of_part, limits in _classes(
@@ -190,7 +190,7 @@ def _recorded(
     `passage`: transmission of its stars by segment.  None where stars may be as fast as a rolling shutter.
     """
     scene, pieces, sigma_px = part.scene, part.pieces, part.scene.sensor.effective_sigma_px
-    reach_px = openings.reach * limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
+    reach_px = limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
     spans = open_spans(scene, reach_px, openings)
     if spans is None:
         return None
@@ -221,8 +221,8 @@ def trail_pieces(
 ) -> TrailPieces | None:
     """Return the pieces of the trails of an exposure; None if there are more than `most`.
 
-    `camera`: behind a lens trails are drawn in the undistorted image plane; `sigma_px`: standard deviation of a star
-    there as the pixels record it, px; `divided_at` (k,) intp: segments before which pieces end.
+    `sigma_px`: standard deviation of a star as the pixels record it, px; `divided_at` (k,) intp: segments before which
+    pieces end.
     """
     return _divided(CameraPath(trails, camera), sigma_px, limits, most, divided_at)
 

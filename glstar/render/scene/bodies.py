@@ -3,8 +3,7 @@
 A disc wider than a star's image is a cluster of sources, so that trails, horizon, refraction and lens apply to it.
 """
 
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -43,11 +42,6 @@ class BodySources:
     bodies: tuple[Body, ...]
     stars: StarField  # The sources; `star_id` is the index of their body
     draw_list: DrawList  # The sources that may touch the image
-
-    def magnified(self, magnification: float) -> Self:
-        """Return the same sources with larger truncation radii, for an oversampled image."""
-        radius_px = magnification * self.draw_list.truncation_radius_px
-        return replace(self, draw_list=replace(self.draw_list, truncation_radius_px=radius_px))
 
 
 def body_field(

@@ -16,6 +16,7 @@ from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.pointing import Pointing
+from glstar.render.motion.starpaths import view_limit_rad, view_radius_rad
 from glstar.sky.air.extinction import air_mass
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.catalogue.starfield import SkyCells, StarField
@@ -108,9 +109,8 @@ class StarCuller:
             extinction_mag = self.zenith_extinction_mag * air_mass(sine)
             observed_mag = observed_mag + extinction_mag
         peak_dn = self.sensor.peak_dn(observed_mag, duration_s)
-        # Sprites grow with the local magnification of the lens.
-        margin_px = self.camera.max_magnification * (self.sensor.truncation_radius_px(peak_dn) + 1)
-        touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px)
+        margin_px = self.sensor.truncation_radius_px(peak_dn) + 1
+        touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px, step_rad)
         # The step at the image's farthest corner: pixel positions of a star that leaves the image within a step grow
         # without bound, and that step does not count.
         longest_step_px = min(longest_step_px, step_rad * self.camera.max_px_per_rad)
@@ -119,11 +119,15 @@ class StarCuller:
         return TouchingStars(self, index, peak_dn[touches], slowest_px[touches], longest_step_px, extinction_mag)
 
     def _steps(
-        self, pointing: Pointing, time_fraction: Float, candidates: NDArray[np.intp], margin_px: Float
+        self,
+        pointing: Pointing,
+        time_fraction: Float,
+        candidates: NDArray[np.intp],
+        margin_px: Float,
+        step_rad: float,
     ) -> tuple[NDArray[np.bool_], Float, float]:
         """Return which candidates touch the image, the trail length at their slowest rate, px, and the longest step."""
         directions = self.stars.direction_eq.take(candidates, axis=0)  # five times as fast as an index
-        stretch, pinhole = self.camera.max_magnification, self.camera.pinhole
         diagonal_px = hypot(self.camera.width_px, self.camera.height_px)
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
@@ -132,9 +136,7 @@ class StarCuller:
         for block in pointing.blocks(len(candidates), overlap=1):
             in_camera = _while_seen(block, directions)
             xy = self.camera.project(in_camera)
-            # Trails are drawn in the undistorted image plane, where their sampling ripple has to be small.
-            undistorted = xy if self.camera.lens is None else pinhole.project(in_camera)
-            step = undistorted[1:] - undistorted[:-1]
+            step = xy[1:] - xy[:-1]
             step_x, step_y = step[..., 0], step[..., 1]
             step_px = np.sqrt(step_x * step_x + step_y * step_y)  # five times as fast as hypot
             trail_px = step_px / time_fraction[first : first + len(step_px), np.newaxis]
@@ -150,20 +152,30 @@ class StarCuller:
             touches |= near.any(axis=0)
             # Between two times a star may graze the image: half a step is added to the margin.  Steps grow without
             # bound far off the axis, but none across the image is longer than its diagonal.
-            reach_px = margin_px + np.minimum(stretch * step_px.max(axis=0), diagonal_px) / 2
+            reach_px = margin_px + np.minimum(step_px.max(axis=0), diagonal_px) / 2
             far = np.flatnonzero(~touches & (np.fmin.reduce(beyond_px, axis=0) < reach_px))
-            grazing_px = margin_px[far] + np.minimum(stretch * step_px.take(far, axis=1), diagonal_px) / 2
+            grazing_px = margin_px[far] + np.minimum(step_px.take(far, axis=1), diagonal_px) / 2
             beyond_px = beyond_px.take(far, axis=1)
             touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)
+            touches |= self._passes_limit(in_camera, xy, step_rad)
         slowest_px[np.isinf(slowest_px)] = 0.0  # visible at a single time
         return touches, slowest_px, longest_step_px
+
+    def _passes_limit(self, in_camera: Float, xy: Float, step_rad: float) -> NDArray[np.bool_] | bool:
+        """Return which stars may come into view between two times where the lens ends on the image, (k,): a bound."""
+        camera = self.camera
+        if camera.lens is None or camera.field_radius_rad < view_limit_rad(camera):
+            return False
+        cosine = in_camera[..., 2] / np.linalg.norm(in_camera, axis=-1)
+        near = cosine > cos(min(view_limit_rad(camera) + step_rad, np.pi))
+        return np.asarray((near & np.isnan(xy[..., 0])).any(axis=0))
 
     def _within_cone(self, pointing: Pointing) -> NDArray[np.intp]:
         """Return the stars in the cone that the field of view sweeps: a bound that is cheap for a million stars."""
         boresight = pointing.boresight_eq
         middle = boresight[len(boresight) // 2]
         swing_rad = acos(min(1.0, max(-1.0, (boresight @ middle).min())))
-        radius_rad = self.camera.field_radius_rad + swing_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
+        radius_rad = view_radius_rad(self.camera, self._widest_px) + swing_rad + MAX_REFRACTION_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
         if len(self.stars) > _MANY_STARS and radius_rad < _NARROW_RAD:
@@ -179,7 +191,8 @@ class StarCuller:
             return candidates
         C = pointing.C_camera_eq
         nearest = np.arange(len(C)) // _SIDES_STRIDE * _SIDES_STRIDE
-        slack_rad = _largest_rotation_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
+        widest_rad = atan(self._widest_px / min(self.camera.fx_px, self.camera.fy_px))
+        slack_rad = _largest_rotation_rad(C, C[nearest]) + step_rad + widest_rad + MAX_REFRACTION_RAD
         if slack_rad >= np.pi / 2:
             return candidates
         outside = (_outward_normals(self.camera) @ C[::_SIDES_STRIDE]) @ self.stars.direction_eq.take(
@@ -188,10 +201,10 @@ class StarCuller:
         near: NDArray[np.bool_] = (outside.max(axis=1) < sin(slack_rad)).any(axis=0)
         return candidates[near]
 
-    def _widest_sprite_rad(self) -> float:
-        """Return a bound of the angle between a star just outside the image and its sprite's edge inside it."""
-        widest_px = 8 * self.sensor.widest_sigma_px + 1
-        return atan(widest_px / min(self.camera.fx_px, self.camera.fy_px))
+    @property
+    def _widest_px(self) -> float:
+        """A bound of the distance between a star just outside the image and its sprite's edge inside it, px."""
+        return 8 * self.sensor.widest_sigma_px + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +215,7 @@ class TouchingStars:
     index: NDArray[np.int32]  # (k,) int32: indices into the `StarField`
     peak_dn: Float  # (k,) amplitudes of their point spread functions if they did not move, DN
     slowest_px: Float  # (k,) lengths of their trails if they moved at their slowest rate all the time, px
-    # The longest step of one of them between consecutive times, in the undistorted image plane, px.
+    # The longest step of one of them between consecutive times, px.
     longest_step_px: float
     # (k,) or None: extinction of each star in the middle of the exposure, mag; None without extinction.
     extinction_mag: Float | None = None
@@ -236,7 +249,6 @@ class TouchingStars:
         return draw_list[is_drawn]
 
     def _drawn_up_to(self, radius_px: Float) -> DrawList:
-        radius_px = self.culler.camera.max_magnification * radius_px
         return DrawList(self.index, radius_px, self.slowest_px, self.extinction_mag)
 
 
@@ -256,7 +268,7 @@ def _cells(stars: StarField) -> SkyCells:
 def _outward_normals(camera: Camera) -> Float:
     """Return the outward normals of the four planes through a pinhole and the image's sides, (4, 3) unit vectors."""
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
-    corners = camera.unproject([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
+    corners = camera.unit_vectors([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
     outwards = np.cross(np.roll(corners, -1, axis=0), corners)
     outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
     outwards.flags.writeable = False

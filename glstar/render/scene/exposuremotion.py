@@ -12,7 +12,7 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.pointing import CameraMotion, MotionSamples
 from glstar.render.motion.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
 from glstar.render.motion.segmentfit import fitted_segments
-from glstar.render.motion.trailmodels import AnalyticSegments, SegmentLimit, SpriteCost
+from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.attenuation import Attenuation
 from glstar.render.scene.bodies import BodySources
 from glstar.render.scene.culling import DrawList, StarCuller, TouchingStars
@@ -28,7 +28,7 @@ _NODE_MARGIN_S = 2e-5
 TRUTH_TOLERANCE_PX = 0.01
 # Motion that takes no more segments than this through every sample is not fitted: a steady turn of 200 deg/s takes 7 in
 # 0.2 s.
-_FEW_SEGMENTS = SegmentLimit(12)
+_FEW_SEGMENTS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +59,16 @@ class ExposureMotion:
         zenith_mag = None if self.extinction is None else self.extinction.zenith_mag(site.height_m)
         return StarCuller(stars, self.camera, self.sensor, zenith_mag)
 
-    def drawn_segments(self, sprite_cost: SpriteCost | None) -> AnalyticSegments | None:
-        """Return the segments that the exposure is drawn in; None where sprites cost less."""
+    @cached_property
+    def drawn_segments(self) -> AnalyticSegments:
+        """The segments that the exposure is drawn in."""
         tolerance_px = self.exposure.path_tolerance_px
         if tolerance_px == 0:
-            return self._exact_segments(sprite_cost)
-        segments = self._few_segments
-        if segments is None:
-            segments = self._fitted if tolerance_px == TRUTH_TOLERANCE_PX else self._fitted_segments(tolerance_px)
-        if segments is None:
-            return self._exact_segments(sprite_cost)
-        # Stars that are not narrow are drawn in pieces where that costs less than segments: always less than sprites.
-        if sprite_cost is None or not self.sensor.core.needs_erf or len(segments) <= sprite_cost.in_segments(0.0):
-            return segments
-        most_segments = sprite_cost.in_segments(segments.longest_trail_px(self.camera))
-        return segments if len(segments) <= most_segments else None
+            return self._exact_segments
+        if self._few_segments is not None:
+            return self._few_segments
+        fitted = self._fitted if tolerance_px == TRUTH_TOLERANCE_PX else self._fitted_segments(tolerance_px)
+        return self._exact_segments if fitted is None else fitted
 
     @cached_property
     def true_segments(self) -> AnalyticSegments:
@@ -82,9 +77,7 @@ class ExposureMotion:
             return self._few_segments
         if self._fitted is not None:
             return self._fitted
-        exact = self._exact_segments(None)
-        assert exact is not None
-        return exact
+        return self._exact_segments
 
     @cached_property
     def touching(self) -> TouchingStars:
@@ -110,7 +103,7 @@ class ExposureMotion:
     @cached_property
     def _few_segments(self) -> AnalyticSegments | None:
         """Segments through every sample of the log, if few suffice: a fit gains nothing then."""
-        return self._exact_segments(_FEW_SEGMENTS)
+        return self._segments(_FEW_SEGMENTS)
 
     @cached_property
     def _fitted(self) -> AnalyticSegments | None:
@@ -129,14 +122,21 @@ class ExposureMotion:
             readout_s=self.exposure.readout_s,
         )
 
-    def _exact_segments(self, sprite_cost: SpriteCost | SegmentLimit | None) -> AnalyticSegments | None:
-        """Return segments that pass through every sample of the log; None where sprites cost less."""
+    @cached_property
+    def _exact_segments(self) -> AnalyticSegments:
+        """Segments that pass through every sample of the log."""
+        exact = self._segments(None)
+        assert exact is not None
+        return exact
+
+    def _segments(self, most: int | None) -> AnalyticSegments | None:
+        """Return segments that pass through every sample of the log; None if it takes more than a number of them."""
         times_s = segment_times(
             self.motion,
             self._nodes_s,
             self.camera,
             self.sensor.core.effective_sigma_px,
-            sprite_cost=sprite_cost,
+            most=most,
             position_px=self._position_px,
         )
         if times_s is None:

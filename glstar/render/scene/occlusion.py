@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
+from glstar.render.motion.starpaths import view_limit_rad
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.transmission import Sources
+from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 
 # Between the times at which the height of stars above the horizon is computed, they move by this at most, px.
@@ -130,8 +133,8 @@ _ZENITH_MARGIN = 2.0
 _ROUNDING = 1e-9
 
 
-def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) -> Float:
-    """Return when stars rise above the apparent horizon and set.
+def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64], camera: Camera) -> Float:
+    """Return when stars rise above the apparent horizon and set, or come into the view of a lens and leave it.
 
     `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (m, 2) elapsed
     fractions of the exposure: a star is up from the first to the second; if the second is earlier, until the second and
@@ -141,11 +144,27 @@ def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) ->
     pointing = trails.pointing
     moved = np.linalg.norm(pointing.zenith_eq - pointing.zenith_eq[0], axis=1).max()
     height = pointing[:1].heights(direction_eq)[0]
-    times = _without_crossing(height >= 0)
-    near = np.flatnonzero(np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING)
+    is_up, may_cross = height >= 0, np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING
+    if camera.lens is not None:
+        limit_rad, boresight = view_limit_rad(camera), pointing.boresight_eq
+        swing_rad = np.arccos(np.clip((boresight @ boresight[0]).min(), -1, 1)) + MAX_REFRACTION_RAD
+        angle_rad = np.arccos(np.clip(direction_eq @ boresight[0], -1, 1))
+        is_up &= angle_rad < limit_rad
+        may_cross |= np.abs(angle_rad - limit_rad) <= swing_rad
+    times, near = _without_crossing(is_up), np.flatnonzero(may_cross)
     if near.size:
-        times[near] = _crossings(pointing, trails.time_fraction, direction_eq[near])
+        heights = pointing.heights(direction_eq[near])
+        if camera.lens is not None:
+            heights = np.minimum(heights, _above_limit(pointing, direction_eq[near], camera))
+        times[near] = _crossings(heights, trails.time_fraction)
     return times
+
+
+def _above_limit(pointing: Pointing, direction_eq: Float, camera: Camera) -> Float:
+    """Return how far within the view of a lens stars are, as differences of cosines, (n, m)."""
+    in_camera = pointing.to_camera(direction_eq, below_horizon=True)
+    cosine = in_camera[..., 2] / np.linalg.norm(in_camera, axis=-1)
+    return np.asarray(cosine - np.cos(view_limit_rad(camera)))
 
 
 def _without_crossing(is_up: NDArray[np.bool_]) -> Float:
@@ -153,12 +172,11 @@ def _without_crossing(is_up: NDArray[np.bool_]) -> Float:
     return np.column_stack([np.where(is_up, 0.0, NEVER), np.full(len(is_up), NEVER)])
 
 
-def _crossings(pointing: Pointing, time_fraction: Float, direction_eq: Float) -> Float:
-    """Return `rise_and_set` of a few stars: from their heights at all times."""
-    heights = pointing.heights(direction_eq)
+def _crossings(heights: Float, time_fraction: Float) -> Float:
+    """Return `rise_and_set` of a few stars: from their heights at all times, (n, m)."""
     is_up = heights >= 0
     changes = is_up[1:] != is_up[:-1]
-    stars = np.arange(len(direction_eq))
+    stars = np.arange(heights.shape[1])
     times = _without_crossing(is_up[0])
     # A star crosses the horizon at most twice a day; the third crossing of a longer exposure is ignored.
     for _ in range(2):

@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from glstar.camera.sensor.colourband import Channel, ColourBand
 from glstar.camera.sensor.pointspread import FAINTEST_COMPONENT_DN, PsfComponent
 from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
-from glstar.render.scene.culling import DrawList
 from glstar.render.scene.scene import Scene
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.photometry import USUAL_BV, brightness_ratio, magnitude_difference, star_colours
 
 _CHANNELS: tuple[Channel, ...] = ("r", "g", "b")
 _ALL = slice(None)
-# The first of `channel_scenes`.
-FIRST_CHANNEL = _CHANNELS[0]
 
 
 def colours_used(stars: StarField, index: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
@@ -28,21 +25,20 @@ def colours_used(stars: StarField, index: slice | NDArray[np.integer] = _ALL) ->
 
 # The field of a flight is uploaded once, so all its scenes share one object, which lives as long as the field of V
 # magnitudes from which it was computed.
-_IN_BANDS: WeakKeyDictionary[StarField, dict[tuple[ColourBand, Channel | None], StarField]] = WeakKeyDictionary()
+_IN_BANDS: WeakKeyDictionary[StarField, dict[ColourBand, StarField]] = WeakKeyDictionary()
 
 
-def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None) -> StarField:
+def in_band(stars: StarField, colour: ColourBand) -> StarField:
     """Return stars with their magnitudes in the band of a camera: the same object for the same arguments.
 
-    Measured magnitudes already are those of the camera's band.  With a `channel` of the mosaic, magnitudes are those in
-    its pixels, for a zero point of the mean of all pixels.
+    Measured magnitudes already are those of the camera's band.
     """
-    if colour.is_v or (channel is None and stars.measured_mag is not None and stars.is_measured is None):
+    if colour.is_v or (stars.measured_mag is not None and stars.is_measured is None):
         return stars
     fields = _IN_BANDS.setdefault(stars, {})
-    if (colour, channel) not in fields:
-        fields[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel), is_measured=None)
-    return fields[colour, channel]
+    if colour not in fields:
+        fields[colour] = replace(stars, measured_mag=_magnitudes(stars, colour, None), is_measured=None)
+    return fields[colour]
 
 
 def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -> NDArray[np.float64]:
@@ -84,6 +80,19 @@ def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
     return np.ascontiguousarray(tints[:, [_CHANNELS.index(channel) for channel in cells]], dtype=np.float32)
 
 
+def mean_of_cells(scene: Scene, index: NDArray[np.int32]) -> NDArray[np.float64] | float:
+    """Return the flux of stars in the mean of a mosaic's cells, over that of their magnitude; 1 without a mosaic.
+
+    `index` (m,): indices into the stars of the scene.  Returns (m,): the bands of the cells add up to that of the mean
+    within a percent.
+    """
+    colour = scene.sensor.colour
+    if colour.mosaic == "none":
+        return 1.0
+    red, green, blue = _tints(scene.stars, colour)[index].T
+    return np.asarray((red + 2 * green + blue) / 4)
+
+
 def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
     """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN."""
     draw_list, sensor = scene.draw_list, scene.sensor
@@ -115,44 +124,6 @@ def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
         return None
     excess = np.array([over_mean[channel] - 1 for channel in _CHANNELS])
     return brightness_ratio(extinction_mag[:, np.newaxis] * excess)
-
-
-def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
-    """Return the scene as the pixels of each colour of its sensor's mosaic see it, for sensors without a mosaic."""
-    over_mean = _extinction_over_mean(scene)
-    return {
-        channel: _of_channel(scene, channel, 1.0 if over_mean is None else over_mean[channel]) for channel in _CHANNELS
-    }
-
-
-def _of_channel(scene: Scene, channel: Channel, over_mean: float) -> Scene:
-    """Return the scene in one channel, whose extinction is that of the mean times a factor."""
-    colour, draw_list = scene.sensor.colour, _dimmed(scene.draw_list, over_mean)
-    stars = in_band(scene.stars, colour, channel)
-    peak_dn = scene.sensor.peak_dn(draw_list.observed_mag(stars), scene.exposure.duration_s)
-    analytic = isinstance(scene.trails, AnalyticSegments)
-    radius_px = scene.sensor.truncation_radius_px(peak_dn, draw_list.min_trail_px, renormalized=analytic)
-    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
-    bodies = scene.bodies
-    if bodies is not None:
-        dimmed = _dimmed(bodies.draw_list, over_mean)
-        bodies = replace(bodies, stars=in_band(bodies.stars, colour, channel), draw_list=dimmed)
-    effects = {key: value for key, value in scene.sensor.effects.items() if key != "sensor.mosaic"}
-    return replace(
-        scene,
-        stars=stars,
-        sensor=replace(scene.sensor, effects=effects),
-        draw_list=replace(draw_list, truncation_radius_px=radius_px),
-        bodies=bodies,
-        satellites=tuple(_of_channel(satellite, channel, over_mean) for satellite in scene.satellites),
-    )
-
-
-def _dimmed(draw_list: DrawList, over_mean: float) -> DrawList:
-    """Return a list with the extinction multiplied by a factor."""
-    if draw_list.extinction_mag is None or over_mean == 1:
-        return draw_list
-    return replace(draw_list, extinction_mag=draw_list.extinction_mag * over_mean)
 
 
 # Stars whose widths differ by less than this are drawn together: with the mean of their range, 1 % from each.
@@ -211,7 +182,7 @@ def _with_radii(scene: Scene) -> Scene:
     draw_list, sensor = scene.draw_list, scene.sensor
     analytic = isinstance(scene.trails, AnalyticSegments)
     radius_px = sensor.truncation_radius_px(drawn_peak_dn(scene), draw_list.min_trail_px, renormalized=analytic)
-    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
+    radius_px = np.maximum(radius_px, draw_list.truncation_radius_px)
     return replace(scene, draw_list=replace(draw_list, truncation_radius_px=radius_px))
 
 
@@ -225,7 +196,7 @@ def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     dx_px, dy_px = component.offset_px
     if dx_px or dy_px:
         camera = replace(camera, cx_px=camera.cx_px + dx_px, cy_px=camera.cy_px + dy_px)
-    stars = replace(draw_list[kept], truncation_radius_px=scene.camera.max_magnification * radius_px)
+    stars = replace(draw_list[kept], truncation_radius_px=radius_px)
     trails = scene.trails
     if isinstance(trails, SubExposures):
         trails = trails.for_sigma(scene.camera, sensor.effective_sigma_px)

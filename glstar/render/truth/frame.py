@@ -18,7 +18,7 @@ from glstar.render.readout.rows import RowTimeSearch, exposed_fraction, recorded
 from glstar.render.readout.stacking import stacked_frame_keys, stacked_segments
 from glstar.render.scene.bodies import BodySources, centre_source, disc_on_image
 from glstar.render.scene.scene import Frame, Scene
-from glstar.render.scene.starcomponents import colours_used, psf_scale
+from glstar.render.scene.starcomponents import colours_used, mean_of_cells, psf_scale
 from glstar.render.scene.transmission import Transmission
 from glstar.render.truth.columns import columns_of
 from glstar.render.truth.peaks import TrailPeaks, trail_peaks
@@ -169,7 +169,7 @@ def _stars(scene: Scene, frame: Frame, rows: RowTimeSearch | None = None) -> byt
     at_shutter = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     start, middle, end = _rounded(at_shutter if recorded is None else recorded.positions)
     camera_mag = scene.stars.camera_mag[index]
-    peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
+    peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s) * mean_of_cells(scene, index)
     extinction_mag, scintillation = scene.listed.extinction_mag, scene.mean_scintillation(index)
     transmission = _transmission(scene, middle, centroid)
     passage = scene.attenuation.steady_transmission(scene.stars.direction_eq[index])

@@ -83,23 +83,36 @@ class LineChain:
             weight = np.broadcast_to(self.duration[:, np.newaxis], self.length_px.shape)
         return weight if self.hidden is None else np.where(self.hidden, 0.0, weight)
 
-    def signal_at(self, point_px: Float, sigma_px: float, transmission: Float | None) -> Float:
-        """Return the signal of stars with a standard deviation at a point each, over their flux, (m,) 1/px^2.
+    def near(self, point_px: Float, reach_px: Float) -> NDArray[np.intp]:
+        """Return which lines are nearer to a point of their star, (m, 2) px, than a distance, (m,) px.
 
-        `point_px` (m, 2) are positions (x, y); `transmission` (n, m) is what reaches the camera during each line.
+        They are numbers of a table of lines and stars: most lines are too far to matter.
         """
         off_px = point_px.T[:, np.newaxis] - self.middle_px
-        # Most lines are too far to matter.
-        reach = self.length_px / 2 + _FAR_SIGMA * sigma_px
+        reach = self.length_px / 2 + reach_px
         reach *= reach
         is_near = np.einsum("anm,anm->nm", off_px, off_px) < reach
         if self.hidden is not None:
             is_near &= ~self.hidden
-        near = np.flatnonzero(is_near)
+        return np.flatnonzero(is_near)
+
+    def signal_at(
+        self, point_px: Float, sigma_px: float, transmission: Float | None, near: NDArray[np.intp] | None = None
+    ) -> Float:
+        """Return the signal of stars with a standard deviation at a point each, over their flux, (m,) 1/px^2.
+
+        `point_px` (m, 2) are positions (x, y); `transmission` (n, m) is what reaches the camera during each line;
+        `near`: the lines that matter there, if known.
+        """
+        if near is None:
+            near = self.near(point_px, np.full(len(point_px), _FAR_SIGMA * sigma_px))
         line, star = np.divmod(near, len(point_px))
         length_px = np.maximum(self.length_px.ravel().take(near), 1e-9)
         along_x, along_y = (step.ravel().take(near) / length_px for step in self.step_px)
-        off_x, off_y = (off.ravel().take(near) / sigma_px for off in off_px)
+        off_x, off_y = (
+            (at.take(star) - middle.ravel().take(near)) / sigma_px
+            for at, middle in zip(point_px.T, self.middle_px, strict=True)
+        )
         s = off_x * along_x + off_y * along_y
         across = off_x * along_y - off_y * along_x
         weight = self.duration.take(line) if self.recorded is None else self.recorded.ravel().take(near)
@@ -200,8 +213,8 @@ _SMALLEST_GRID = (3, 2)
 _MOST_PAIRS = 8_000_000
 # Lines of a path, at most: groups of neighbours if there are more.
 _MOST_LINES = 64
-# Points of a path at which the signal is evaluated exactly.
-_CANDIDATES = 2
+# Lines of a path along which the signal is evaluated exactly.
+_CANDIDATES = 3
 # Pairs of lines that are computed at once: more of them fall out of the processor's cache.
 _BLOCK = 32_768
 # Light that is farther than this, in units of the exponent, does not count; and smaller numbers are slow.
@@ -212,8 +225,10 @@ _FAR_EXPONENT = np.float32(-40.0)
 class BrightestPoints:
     """Points of m trails at which the signal is largest, and the integral of its square."""
 
-    # (k, m, 2) the k points of each trail on the image that promise most light, or the nearest ones to the image, px.
+    # (k, m, 2) the k points of each trail on the image that promise most light, or the nearest ones to the image, px:
+    # middles of lines.
     point_px: Float
+    step_px: Float  # (k, m, 2) from the starts to the ends of these lines, px
     # (m,) the integral of the squared signal over the squared flux above the cloud, 1/px^2; of a path that is partly on
     # the image, that over the part on it, divided by this part of the time.
     square_per_px2: Float
@@ -244,7 +259,7 @@ def brightest_points(
     on_image *= lines.weight
     square = np.einsum("nm,nm,nm,nm->m", on_image, overlaps, passing, nearby)
     square /= np.maximum(on_image.sum(axis=0), 1e-30)
-    return BrightestPoints(_candidates(scene.camera, lines.middle_px, light), square)
+    return BrightestPoints(*_candidates(lines, light), square)
 
 
 class _Lines(NamedTuple):
@@ -298,14 +313,17 @@ def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -
     return np.asarray((near @ passing) / near.sum(axis=1)[:, np.newaxis])
 
 
-def _candidates(camera: Camera, middle_px: Float, signals: Float) -> Float:
-    """Return the points of paths with the largest signals, on the image, (k, m, 2) px."""
-    stars, points = np.arange(signals.shape[1]), []
+def _candidates(lines: _Lines, signals: Float) -> tuple[Float, Float]:
+    """Return the middles of the lines with the largest signals, and their steps, (k, m, 2) px both."""
+    stars, chosen = np.arange(signals.shape[1]), []
     for _ in range(min(_CANDIDATES, len(signals))):
         best = signals.argmax(axis=0)
-        points.append(middle_px[:, best, stars].T)
+        chosen.append(best)
         signals[best, stars] = -np.inf
-    return np.asarray(np.stack(points).clip(-0.5, np.array([camera.width_px, camera.height_px]) - 0.5))
+    middle_px, step_px = (
+        np.stack([each[:, best, stars].T for best in chosen]) for each in (lines.middle_px, lines.step_px)
+    )
+    return middle_px, step_px
 
 
 def _interpolated(scene: Scene, direction_eq: Float, lines: _Lines) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -427,7 +445,7 @@ def trail_peaks(
     points = brightest_points(scene, direction_eq, chains, transmissions)
     scales = psf_scale(scene, direction_eq, bv)
     profiles = list(_profiles(scene.sensor, scales))
-    peak = np.max([_signal_at(point, chains, transmissions, profiles) for point in points.point_px], axis=0)
+    peak = _largest_signal(scene, points, chains, transmissions, profiles)
     mean = np.ones(1) if passage is None else passage.mean
     dimmed = peak / np.maximum(mean, 1e-30)
     area_px2 = mean * mean / np.maximum(points.square_per_px2, 1e-30)
@@ -436,20 +454,77 @@ def trail_peaks(
     return TrailPeaks(peak, _area_over_core(scene.sensor, scales, dimmed) * area_px2)
 
 
-def _signal_at(
-    point_px: Float,
+# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; and then on
+# both sides of the best point.
+_ALONG = (0.0, -0.25, 0.25, -0.5, 0.5)
+_NEARER = (1 / 8, 1 / 16, 1 / 32)
+
+
+class _Part(NamedTuple):
+    """Stars with the same profile in one short exposure."""
+
+    chain: LineChain
+    transmission: Float | None
+    stars: Stars
+    gaussians: list[tuple[float, float, Float]]
+
+    def near(self, middle_px: Float, step_px: Float) -> list[NDArray[np.intp]]:
+        """Return the lines that matter along a line of each star of the scene, (m, 2) px, for each Gaussian."""
+        middle_px, half_px = middle_px[self.stars], np.linalg.norm(step_px[self.stars], axis=1) / 2
+        return [
+            self.chain.near(middle_px - offset_px, half_px + _FAR_SIGMA * sigma_px)
+            for _, sigma_px, offset_px in self.gaussians
+        ]
+
+    def signal_at(self, point_px: Float, near: list[NDArray[np.intp]]) -> Float:
+        """Return the signal at a point of each star of the scene, (m, 2) px, of those with this profile."""
+        signals = [
+            fraction * self.chain.signal_at(point_px[self.stars] - offset_px, sigma_px, self.transmission, lines)
+            for (fraction, sigma_px, offset_px), lines in zip(self.gaussians, near, strict=True)
+        ]
+        return np.asarray(np.sum(signals, axis=0))
+
+
+class _Search:
+    """The largest signals on the image that have been found, and where."""
+
+    def __init__(self, camera: Camera, parts: Sequence[_Part], count: int) -> None:
+        self.largest = np.zeros(count)
+        self.point_px, self.step_px = np.zeros((count, 2)), np.zeros((count, 2))
+        self._parts, self._last_px = parts, np.array([camera.width_px, camera.height_px]) - 0.5
+
+    def along(self, middle_px: Float, step_px: Float, places: Sequence[float]) -> None:
+        """Evaluate the signal at places along a line of each star, from its middle, (m, 2) px, parts of its step."""
+        near = [part.near(middle_px, step_px) for part in self._parts]
+        for place in places:
+            point_px, signal = (middle_px + place * step_px).clip(-0.5, self._last_px), np.zeros(len(middle_px))
+            for part, lines in zip(self._parts, near, strict=True):
+                signal[part.stars] += part.signal_at(point_px, lines)
+            is_larger = signal > self.largest
+            self.largest = np.where(is_larger, signal, self.largest)
+            self.point_px = np.where(is_larger[:, np.newaxis], point_px, self.point_px)
+            self.step_px = np.where(is_larger[:, np.newaxis], step_px, self.step_px)
+
+
+def _largest_signal(
+    scene: Scene,
+    points: BrightestPoints,
     chains: Sequence[LineChain],
     transmissions: Sequence[Float | None],
     profiles: Sequence[tuple[Stars, list[tuple[float, float, Float]]]],
 ) -> Float:
-    """Return the signal at one point per star, (m,), with all the Gaussians of its profile."""
-    signal = np.zeros(len(point_px))
-    for chain, transmission in zip(chains, transmissions, strict=True):
-        for stars, gaussians in profiles:
-            of_stars, passing = chain[stars], None if transmission is None else transmission[:, stars]
-            for fraction, sigma_px, offset_px in gaussians:
-                signal[stars] += fraction * of_stars.signal_at(point_px[stars] - offset_px, sigma_px, passing)
-    return signal
+    """Return the largest signal of stars along the lines that promise most light, with their profiles, (m,)."""
+    parts = [
+        _Part(chain[stars], None if transmission is None else transmission[:, stars], stars, gaussians)
+        for chain, transmission in zip(chains, transmissions, strict=True)
+        for stars, gaussians in profiles
+    ]
+    search = _Search(scene.camera, parts, points.point_px.shape[1])
+    for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
+        search.along(middle_px, step_px, _ALONG)
+    for place in _NEARER:
+        search.along(search.point_px, search.step_px, (-place, place))
+    return search.largest
 
 
 def _profiles(sensor: Sensor, scales: Float) -> Iterator[tuple[Stars, list[tuple[float, float, Float]]]]:

@@ -11,6 +11,8 @@ from glstar.render.scene.scene import Scene
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
+# Samples of the path of a star that crosses the border of the image, for each that its length demands: it may shake.
+_FINER = 12
 # Side of the cells in which saturated pixels are counted, px.
 _CELL_PX = 32
 
@@ -82,7 +84,7 @@ class TrailStatistics:
     def _add_recorded_samples(self, scene: Scene, part: RecordedPart, stars: NDArray[np.intp]) -> None:
         """Add the sampled paths of some stars."""
         radius_px = scene.listed.truncation_radius_px[stars]
-        for xy, _, weight in part.samples(stars):
+        for xy, _, weight in part.samples(stars, _FINER):
             touching, on_image = _parts_inside(scene.camera.distance_outside_px(xy), radius_px)
             self.on_image[stars] += np.einsum("nm,nm->m", weight, on_image)
             light = weight * touching
@@ -102,7 +104,7 @@ class TrailStatistics:
         """Add the sampled paths of stars that are on the image for a part of the time."""
         radius_px = scene.listed.truncation_radius_px[stars]
         is_at_rest = isinstance(paths, SampledPaths) and paths.is_at_rest
-        for xy, time_fraction in paths.samples(stars):
+        for xy, time_fraction in paths.samples(stars, _FINER):
             outside_px = scene.camera.distance_outside_px(xy)
             touching, on_image = _parts_inside(outside_px, radius_px, is_at_rest=is_at_rest)
             self.touching[stars] += time_fraction @ touching

@@ -55,7 +55,7 @@ def image_border(camera: Camera) -> Float:
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom], [-0.5, -0.5]])
     along = np.linspace(0.0, 1.0, _BORDER_POINTS, endpoint=False)[:, np.newaxis]
     sides = [start + along * (end - start) for start, end in pairwise(corners)]
-    return camera.unproject(np.concatenate(sides))
+    return camera.unit_vectors(np.concatenate(sides))
 
 
 # Interval over which speeds are measured, s: GPS positions come five times a second at most.
@@ -99,7 +99,7 @@ def aircraft_state(simulator: Simulator, utc_s: float) -> AircraftState:
     C_camera_ned = simulator.mount.C_camera_body @ matrix_from_quaternion(q_body_ned)[0]
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_camera_ned[2])
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
-    corners = camera.unproject([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+    corners = camera.unit_vectors([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
     _, corner_rad = ned_to_azimuth_altitude_rad(corners @ C_camera_ned)
     ground_speed, climb = _speeds_m_per_s(flight, utc_s)
     return AircraftState(

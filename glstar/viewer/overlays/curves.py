@@ -29,6 +29,10 @@ TOLERANCE_PX = 0.2
 _MAX_STEP_RAD = np.deg2rad(5.0)
 _MIN_STEP_RAD = np.deg2rad(0.2)
 
+# Points of the image, along each side, and step along great circles, at which a lens's bend of them is evaluated.
+_SAMPLES_PER_SIDE = 65
+_BEND_STEP_RAD = 1e-3
+
 # Upper bound of the curvature that refraction gives to a straight line, 1/rad: the second derivative of eq. (25) is
 # largest at the horizon, 3.2 per radian in standard air.
 REFRACTION_CURVATURE = 4.0
@@ -126,13 +130,35 @@ def max_step_rad(camera: Camera, curvature: float) -> float:
 
     `curvature`: geodesic curvature of the curve, 1/rad; for a parallel, the tangent of its latitude.  A chord of length
     s lies curvature * s^2 / 8 from its curve.  At the corner of the image a pinhole camera magnifies
-    this to focal length / cos^2 pixels per radian.  Distortion bends great circles, too; there their chords are longer
-    by 1 / cos^2 in the image plane.
+    this to focal length / cos^2 pixels per radian.  A lens bends great circles, too.
     """
     scale_px_per_rad = camera.max_px_per_rad * (1 + abs(camera.skew_px) / camera.fx_px)
-    curvature += camera.max_curvature / np.cos(camera.field_radius_rad) ** 2
-    step_rad = np.sqrt(8 * TOLERANCE_PX / (scale_px_per_rad * max(curvature, 1e-9)))
+    bend_px = scale_px_per_rad * max(curvature, 1e-9) + _bend_px_per_rad2(camera)
+    step_rad = np.sqrt(8 * TOLERANCE_PX / bend_px)
     return float(np.clip(step_rad, _MIN_STEP_RAD, _MAX_STEP_RAD))
+
+
+@lru_cache(maxsize=8)
+def _bend_px_per_rad2(camera: Camera) -> float:
+    """Return four times the largest second derivative of positions along great circles, px/rad^2; 0 for a pinhole.
+
+    Where a chord crosses an edge is interpolated linearly between its ends, within a quarter of `TOLERANCE_PX`.
+    """
+    if camera.lens is None:
+        return 0.0
+    columns, rows = (np.linspace(-0.5, side - 0.5, _SAMPLES_PER_SIDE) for side in (camera.width_px, camera.height_px))
+    seen = camera.unit_vectors(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    right = np.cross(seen, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    down = np.cross(seen, right)
+    largest = 0.0
+    for angle_rad in np.arange(12) * np.pi / 12:
+        step = _BEND_STEP_RAD * (np.cos(angle_rad) * right + np.sin(angle_rad) * down)
+        before, at, after = (camera.project(seen + shift) for shift in (-step, 0.0, step))
+        second = np.linalg.norm(after - 2 * at + before, axis=1)
+        largest = max(largest, 4 * float(np.nanmax(second)) / _BEND_STEP_RAD**2)
+    return largest
 
 
 def parallel(latitude_rad: float, step_rad: float) -> Float:

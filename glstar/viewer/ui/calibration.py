@@ -339,8 +339,8 @@ class CalibrateWindow:
         if self._own_camera:
             return None
         degrees = _number("view", self._typed["fov"])
-        if degrees is None or not 1 <= degrees < 180:
-            raise ValueError("give the width of the view: 1 to 180 deg, left to right, right to 15 %")
+        if degrees is None or not 1 <= degrees <= 300:
+            raise ValueError("give the width of the view: 1 to 300 deg, left to right, right to 15 %")
         return radians(degrees)
 
     def _site_rad(self) -> tuple[float, float] | None:

@@ -20,7 +20,7 @@ from glstar.render.motion.segmentation import SHAPE_LIMITS
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.opengl import textures
 from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
-from glstar.render.opengl.textures import ReadoutClock, StarTarget
+from glstar.render.opengl.textures import StarTarget
 from glstar.render.readout.openings import are_worth_dividing
 from glstar.render.readout.pieces import PIECE_COSTS
 from glstar.render.scene.culling import DrawList
@@ -87,7 +87,7 @@ class SegmentKinds(NamedTuple):
 def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
     """Return whether all segments of a scene of plain Gaussians are surely SHORT."""
     limit_px = SHAPE_LIMITS.short_sigma * scene.sensor.effective_sigma_px
-    return trails.longest_segment_px(scene.camera.pinhole) < _SURELY_SHORT * limit_px
+    return trails.longest_segment_px(scene.camera) < _SURELY_SHORT * limit_px
 
 
 def drawn_sigma_px(sensor: Sensor) -> float:
@@ -119,16 +119,10 @@ class PathPass:
 
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
         self._context = context
-        # By ROWS of readout.glsl and the kinds of segments.
-        self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
+        # By ROWS of readout.glsl, LENS of lens.glsl and the kinds of segments.
+        self._programs: dict[tuple[int, int, SegmentKinds], _PathProgram] = {}
+        self._projections: dict[int, _PathProgram] = {}  # By LENS of lens.glsl
         with ExitStack() as owned:
-            self._projection = linked(
-                context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=textures.STARS_PER_ROW
-            )
-            owned.callback(self._projection.release)
-            set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
-            self._all_positions = context.vertex_array(self._projection, [])
-            owned.callback(self._all_positions.release)
             self._positions = TextureTable(context, 1)
             owned.callback(self._positions.release)
             self._pointing = context.texture((textures.TEXELS_PER_TIME, 2 * segments + 1), 4, dtype="f4")
@@ -140,7 +134,7 @@ class PathPass:
             owned.callback(self._passage.release)
             owned.callback(self._release_programs)
             self._kinds = SegmentKinds(are_short=False)
-            self._path = self._program(0)
+            self._path, self._projection = self._program(0, 0), self._projection_behind(0)
             self._owned = owned.pop_all()
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
 
@@ -148,21 +142,21 @@ class PathPass:
         """Set the uniforms for a scene, given its trails, and their kinds of segments."""
         sensor, clock = scene.sensor, target.clock
         sigma_px = drawn_sigma_px(sensor)
-        set_uniforms(
-            self._projection, **textures.projection_uniforms(scene.camera, trails.pointing, target.guard_band_px)
-        )
+        self._projection = self._projection_behind(target.lens.kind)
+        set_uniforms(self._projection.program, refraction_scale=trails.pointing.refraction_scale)
+        target.lens.bind(self._projection.program, scene.camera, target.guard_band_px)
         self._kinds = kinds
-        self._path = self._program(clock.rows)
+        self._path = self._program(clock.rows, target.lens.kind)
         program = self._path.program
         uniforms = {
             "sigma_px": sigma_px,
             "effective_sigma_px": sensor.effective_sigma_px,
-            "image_sigma_px": np.hypot(sensor.effective_sigma_px, np.sqrt(clock.resampling_px2)),
             "largest_point_px": self._point_size_px,
             "vmag_0_peak_dn": still_peak_dn(sensor, scene.exposure.duration_s, clock.span),
         }
         set_used_uniforms(program, **uniforms)
-        clock.bind(program, sigma_px)
+        clock.bind(program)
+        target.lens.bind(program, scene.camera, target.guard_band_px)
 
     def set_times(self, texels: Float32) -> None:
         """Set the orientations at the ends and the middles of m segments, (2 m + 1, 5, 4) float32.
@@ -186,9 +180,9 @@ class PathPass:
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, rows))
         for location, texture in enumerate((field, self._chosen, self._pointing)):
             texture.use(location)
-        self._projection["last_time"] = self._path.program["last_time"] = times - 1
+        self._projection.program["last_time"] = self._path.program["last_time"] = times - 1
         self._context.enable_only(moderngl.NOTHING)
-        positions = self._positions.filled(self._all_positions, stars, times + 1)
+        positions = self._positions.filled(self._projection.vertices, stars, times + 1)
         positions[0].use(_UNITS["positions"])
         self._passage.texture.use(_UNITS["passage"])
         self._chosen.use(_UNITS["chosen"])
@@ -200,8 +194,21 @@ class PathPass:
         self._chosen.write(chosen[:1, :1].tobytes(), viewport=(0, 0, 1, 1))
         return filled
 
-    def _program(self, rows: int) -> "_PathProgram":
-        key = rows, self._kinds
+    def _projection_behind(self, lens: int) -> "_PathProgram":
+        if lens not in self._projections:
+            program = linked(
+                self._context,
+                "whole_image.vert",
+                "project_stars.frag",
+                STARS_PER_ROW=textures.STARS_PER_ROW,
+                LENS=lens,
+            )
+            set_uniforms(program, stars=0, chosen=1, pointing=2)
+            self._projections[lens] = _PathProgram(self._context, program, 1)
+        return self._projections[lens]
+
+    def _program(self, rows: int, lens: int) -> "_PathProgram":
+        key = rows, lens, self._kinds
         if key not in self._programs:
             program = linked(
                 self._context,
@@ -211,6 +218,7 @@ class PathPass:
                 MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
                 MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
                 ROWS=rows,
+                LENS=lens,
                 ALL_SHORT=int(self._kinds.are_short),
                 COMPONENTS=int(self._kinds.have_components),
             )
@@ -219,9 +227,10 @@ class PathPass:
         return self._programs[key]
 
     def _release_programs(self) -> None:
-        for program in self._programs.values():
+        for program in (*self._programs.values(), *self._projections.values()):
             program.release()
         self._programs.clear()
+        self._projections.clear()
 
     def release(self) -> None:
         """Release programs and textures."""
@@ -280,7 +289,7 @@ class StarComponents(NamedTuple):
             yield self.sensors[run[0]], np.isin(self.of_star, run)
 
 
-def drawn_together(scenes: Iterable[Scene], clock: ReadoutClock) -> Iterator[list[Scene]]:
+def drawn_together(scenes: Iterable[Scene], *, rolling: bool) -> Iterator[list[Scene]]:
     """Yield scenes of plain Gaussians in their order: lists that `in_one_scene` joins, or of one scene.
 
     Several have the same stars on the same paths, whose segments are well below their widths.  Scenes without stars are
@@ -289,7 +298,7 @@ def drawn_together(scenes: Iterable[Scene], clock: ReadoutClock) -> Iterator[lis
     drawn = (scene for scene in scenes if len(scene.draw_list))
     for _, same in groupby(drawn, key=lambda scene: (id(scene.stars), id(scene.trails), scene.camera)):
         several = list(same)
-        if len(several) > 1 and clock.rows < 2 and _are_short(several, rolling=clock.rows > 0):
+        if len(several) > 1 and _are_short(several, rolling=rolling):
             yield several
         else:
             yield from ([scene] for scene in several)
@@ -303,7 +312,7 @@ def _are_short(scenes: Sequence[Scene], *, rolling: bool) -> bool:
     if rolling and are_worth_dividing(trails, narrowest.camera, narrowest.sensor.effective_sigma_px):
         return False
     limit_px = _SHORT_SIGMA * narrowest.sensor.effective_sigma_px
-    return trails.longest_segment_px(narrowest.camera.pinhole) < limit_px
+    return trails.longest_segment_px(narrowest.camera) < limit_px
 
 
 def in_one_scene(scenes: Sequence[Scene]) -> tuple[Scene, StarComponents]:

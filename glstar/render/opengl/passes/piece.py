@@ -12,6 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.motion.starpaths import view_radius_rad
 from glstar.render.motion.trailmodels import TrailPieces
 from glstar.render.opengl import textures
 from glstar.render.opengl.passes.path import drawn_sigma_px, falloff_per_px2, still_peak_dn
@@ -127,7 +128,7 @@ class PiecePass:
         self._context = context
         self._sprites = StarSprites(context, stars, (_TEXELS, _PIECES_PER_CALL), 2)
         try:
-            self._program(mosaic=False, rolling=False)
+            self._program(0, narrow=False, mosaic=False, rolling=False)
         except BaseException:
             self.release()
             raise
@@ -137,7 +138,12 @@ class PiecePass:
         scene = part.scene
         drawn = scene.draw_list
         tints = cell_tints(scene, target.guard_band_px)
-        program, vertices = self._program(mosaic=tints is not None, rolling=part.drawn is not None)
+        program, vertices = self._program(
+            target.lens.kind,
+            narrow=scene.sensor.needs_erf,
+            mosaic=tints is not None,
+            rolling=part.drawn is not None,
+        )
         self._set_uniforms(program, scene, target)
         texels = _piece_texels(part.pieces)
         chosen = _texels_of_stars(part)
@@ -161,23 +167,28 @@ class PiecePass:
 
     def _set_uniforms(self, program: moderngl.Program, scene: Scene, target: StarTarget) -> None:
         sensor, pointing = scene.sensor, scene.trails.pointing
-        peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
         set_uniforms(
             program,
-            **textures.projection_uniforms(scene.camera, pointing, target.guard_band_px),
+            refraction_scale=pointing.refraction_scale,
             sine_horizon=pointing.sine_horizon,
             target_px=target.light.size,
-            sigma_px=sensor.effective_sigma_px,
-            vmag_0_peak_dn=sensor.effective_peak * peak_dn * target.clock.span,
+            sigma_px=drawn_sigma_px(sensor),
+            effective_sigma_px=sensor.effective_sigma_px,
+            vmag_0_peak_dn=still_peak_dn(sensor, scene.exposure.duration_s, target.clock.span),
         )
+        target.lens.bind(program, scene.camera, target.guard_band_px)
 
-    def _program(self, *, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+    def _program(
+        self, lens: int, *, narrow: bool, mosaic: bool, rolling: bool
+    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
         return self._sprites.program(
             "trail_pieces.vert",
             "trail_pieces.frag",
             PIECES_PER_SPRITE=PIECES_PER_SPRITE,
+            NARROW=int(narrow),
             MOSAIC=int(mosaic),
             ROWS=int(rolling),
+            LENS=lens,
         )
 
     def release(self) -> None:
@@ -216,8 +227,8 @@ def _near_image(part: ScenePart, rows: slice, stars: slice) -> NDArray[np.bool_]
     firsts = boresight[::PIECES_PER_SPRITE]
     turn = firsts.repeat(PIECES_PER_SPRITE, axis=0)[: len(boresight)] - boresight
     swing_rad = 2 * np.arcsin(min(1.0, float(np.sqrt((turn * turn).sum(axis=1).max())) / 2))
-    margin_rad = np.arctan(3 * scene.draw_list.truncation_radius_px.max() / min(camera.fx_px, camera.fy_px))
-    radius_rad = camera.field_radius_rad + margin_rad + swing_rad + MAX_REFRACTION_RAD
+    margin_px = 3 * float(scene.draw_list.truncation_radius_px.max())
+    radius_rad = view_radius_rad(camera, margin_px) + swing_rad + MAX_REFRACTION_RAD
     cosine = firsts @ scene.stars.direction_eq[scene.draw_list.index[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     if part.drawn is not None:
@@ -249,6 +260,7 @@ class EndPass:
             NARROW=int(scene.sensor.needs_erf),
             MOSAIC=int(tints is not None),
             ROWS=target.clock.rows,
+            LENS=target.lens.kind,
             COMPONENTS=0,
         )
         _set_uniforms(program, scene, target)
@@ -276,7 +288,7 @@ def _set_uniforms(program: moderngl.Program, scene: Scene, target: StarTarget) -
     sensor = scene.sensor
     sigma_px = drawn_sigma_px(sensor)
     uniforms: dict[str, Any] = {
-        **textures.projection_uniforms(scene.camera, scene.trails.pointing, target.guard_band_px),
+        "refraction_scale": scene.trails.pointing.refraction_scale,
         "target_px": target.light.size,
         "falloff_per_px2": falloff_per_px2(sensor),
         "sigma_px": sigma_px,
@@ -284,7 +296,8 @@ def _set_uniforms(program: moderngl.Program, scene: Scene, target: StarTarget) -
         "vmag_0_peak_dn": still_peak_dn(sensor, scene.exposure.duration_s, target.clock.span),
     }
     set_used_uniforms(program, **uniforms)
-    target.clock.bind(program, sigma_px)
+    target.clock.bind(program)
+    target.lens.bind(program, scene.camera, target.guard_band_px)
 
 
 def _end_texels(ends: EndPieces) -> NDArray[np.float32]:

@@ -33,11 +33,11 @@ class SubExposurePass:
         self._context = context
         self._stars = textures.RecentFields(partial(textures.StarBuffers, context))
         with ExitStack() as owned:
-            # By fragment shader, ROWS of readout.glsl, and whether there is a mosaic.
-            self._programs: dict[tuple[str, int, bool], moderngl.Program] = {}
+            # By fragment shader, ROWS of readout.glsl, LENS of lens.glsl, and whether there is a mosaic.
+            self._programs: dict[tuple[str, int, int, bool], moderngl.Program] = {}
             owned.callback(self._release_programs)
             for fragments in ("star.frag", "star_erf.frag"):
-                self._linked(fragments, rows=0, mosaic=False)
+                self._linked(fragments, rows=0, lens=0, mosaic=False)
             self._pointing = context.texture((textures.TEXELS_PER_TIME, _SUB_EXPOSURES_PER_CALL), 4, dtype="f4")
             owned.callback(self._pointing.release)
             self._pointing.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -46,9 +46,9 @@ class SubExposurePass:
             owned.callback(self._passage.release)
             self._owned = owned.pop_all()
 
-    def _linked(self, fragments: str, rows: int, *, mosaic: bool) -> moderngl.Program:
-        """Return the program of a fragment shader for one value of ROWS, with or without a mosaic."""
-        key = fragments, rows, mosaic
+    def _linked(self, fragments: str, rows: int, lens: int, *, mosaic: bool) -> moderngl.Program:
+        """Return the program of a fragment shader for values of ROWS and LENS, with or without a mosaic."""
+        key = fragments, rows, lens, mosaic
         if key not in self._programs:
             self._programs[key] = linked(
                 self._context,
@@ -56,6 +56,7 @@ class SubExposurePass:
                 fragments,
                 SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE,
                 ROWS=rows,
+                LENS=lens,
                 MOSAIC=int(mosaic),
                 PASSAGE_COLUMNS=textures.PASSAGE_COLUMNS,
             )
@@ -94,21 +95,22 @@ class SubExposurePass:
         """Return the program for the sensor's point spread function, with its uniforms set."""
         sensor, clock = scene.sensor, target.clock
         fragments = "star_erf.frag" if sensor.needs_erf else "star.frag"
-        program = self._linked(fragments, clock.rows, mosaic=sensor.colour.mosaic != "none")
+        program = self._linked(fragments, clock.rows, target.lens.kind, mosaic=sensor.colour.mosaic != "none")
         vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span
         if not sensor.needs_erf:
             vmag_0_peak_dn *= sensor.effective_peak
         set_uniforms(
             program,
             pointing=0,
-            **textures.projection_uniforms(scene.camera, trails.pointing, target.guard_band_px),
+            refraction_scale=trails.pointing.refraction_scale,
             sine_horizon=trails.pointing.sine_horizon,
             target_px=target.light.size,
             vmag_0_peak_dn=vmag_0_peak_dn / len(trails),
         )
         if clock.rows:
             set_uniforms(program, sub_time=1 / len(trails))
-        clock.bind(program, sensor.effective_sigma_px)
+        clock.bind(program)
+        target.lens.bind(program, scene.camera, target.guard_band_px)
         if sensor.needs_erf:
             set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
         else:

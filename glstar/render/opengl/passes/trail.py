@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.starpaths import view_radius_rad
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.opengl.passes import path
 from glstar.render.opengl.passes.piece import EndPass, PiecePass
@@ -140,7 +141,7 @@ class TrailPass:
     def draw(self, scene: Scene, trails: AnalyticSegments, queue: DrawQueue) -> None:
         """Add the flux of a scene's stars to the target of a queue, in which some draws may wait afterwards."""
         target = queue.target
-        openings = target.clock.openings(target.guard_band_px, scene.sensor.effective_sigma_px)
+        openings = target.clock.openings(target.guard_band_px)
         if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
             self._draw_segments(scene, trails, queue, target)
             return
@@ -261,7 +262,7 @@ class TrailPass:
         draw_passes = [each for each in draw_passes if each.shape.number == 0 or not kinds.are_short]
         for program, *_ in draw_passes:
             set_used_uniforms(program, **uniforms)
-            target.clock.bind(program, sigma_px)
+            target.clock.bind(program)
         return draw_passes
 
     def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int, components: bool) -> list[_DrawPass]:
@@ -332,9 +333,8 @@ def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: NDA
     boresight = trails.pointing.boresight_eq[times]
     chord = np.diff(boresight, axis=0)
     rotation_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
-    margin_px = scene.draw_list.truncation_radius_px.max() + 1
-    margin_rad = np.arctan(margin_px / min(camera.fx_px, camera.fy_px))
-    radius_rad = camera.field_radius_rad + margin_rad + rotation_rad / 2 + MAX_REFRACTION_RAD
+    margin_px = float(scene.draw_list.truncation_radius_px.max()) + 1
+    radius_rad = view_radius_rad(camera, margin_px) + rotation_rad / 2 + MAX_REFRACTION_RAD
     cosine = boresight @ scene.stars.direction_eq[scene.draw_list.index[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]
