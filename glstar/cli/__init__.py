@@ -135,7 +135,7 @@ COMMANDS = {
         "Show every setting in effect, and whether it comes from a flag, the config file, a preset or the default.",
     ),
     "bench": _Command(
-        "machine.bench",
+        "machine.doctor",
         "bench",
         "Measure how many frames a second this machine draws, and draws and writes as PNG, by image size.",
     ),
