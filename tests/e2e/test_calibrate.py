@@ -418,3 +418,22 @@ def test_a_calibration_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
 
     assert written == [tmp_path / "C.TOML", tmp_path / "C.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["C.TOML", "C.png"]
+
+
+@pytest.mark.parametrize(
+    "words", [["sky.png", "-o", "sky.toml"], ["sky.jpg", "--labels", "sky.stars.csv", "-o", "sky.toml"]]
+)
+def test_an_input_with_the_name_of_the_report_is_not_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("sky.png", "sky.jpg", "sky.stars.csv"):
+        Path(name).write_bytes(b"as it was")
+
+    result = CliRunner().invoke(app, ["calibrate", *words, "--fov", "40", "--exposure", "0.5"])
+
+    assert result.exit_code == 1
+    assert "may be overwritten by the report of sky.toml" in result.stderr
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == dict.fromkeys(
+        ("sky.png", "sky.jpg", "sky.stars.csv"), b"as it was"
+    )

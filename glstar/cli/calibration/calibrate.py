@@ -156,6 +156,7 @@ def calibrate(
     from glstar.calibrate.pipeline import calibrate_photographs  # noqa: PLC0415 - OpenCV, SciPy
     from glstar.cli.calibration import output as reports  # noqa: PLC0415 - OpenCV, SciPy
 
+    reports.require_other_names(output, [*(images or []), *(path for path in (labels, flight) if path is not None)])
     with reports.showing_progress() as (on_step, on_note):
         result = calibrate_photographs(
             images or [],

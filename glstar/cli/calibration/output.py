@@ -1,7 +1,7 @@
 """Files and messages of ``glstar calibrate``, which writes and prints what `glstar.calibrate` measures."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +24,8 @@ from glstar.errors import CalibrationError
 from glstar.export.directory import explain_disk_errors
 from glstar.system.files import write_atomically
 
+# Suffixes of what is written beside a calibration.
+_WRITTEN = {".png", ".json", ".csv"}
 # A larger fraction of hot pixels is reported: real sensors have some hundred in a million.
 _MANY_HOT = 0.01
 
@@ -34,6 +36,17 @@ def showing_progress() -> Iterator[tuple[Callable[[int, int], None], Callable[[s
     with progress_bar("steps") as on_step, ThreadPoolExecutor(max_workers=1) as executor:
         executor.submit(prepare_to_draw)
         yield on_step, lambda text: echo_note(f"note: {text}")
+
+
+def require_other_names(output: Path, inputs: Iterable[Path]) -> None:
+    """Reject an output whose report, star list or twin may have the name of an input; raises CalibrationError."""
+    folder = output.absolute().resolve().parent
+    for path in inputs:
+        own = path.absolute().resolve()
+        if own.parent == folder and own.name.startswith(f"{output.stem}.") and own.suffix.lower() in _WRITTEN:
+            raise CalibrationError(
+                f"may be overwritten by the report of {output}, which has the same name; give -o another one", path=path
+            )
 
 
 def write_files(output: Path, files: dict[str, bytes]) -> list[Path]:
