@@ -30,6 +30,7 @@ fx_px = 130.0
 fy_px = 130.0
 lens = "fisheye"
 distortion = [0.0, 0.0, 0.0, 0.0]
+max_angle_deg = 80.0
 [mount]
 pitch_deg = 90.0
 """

@@ -92,7 +92,7 @@ _FRAME = (
     Column("camera.height_px", "int32", "px", "height of the image"),
     Column("camera.lens", "string", "", "lens model"),
     Column("camera.distortion", "float[]", "", "coefficients of the lens model"),
-    Column("camera.max_angle_deg", "float", "deg", "where the image circle ends, if the config states it"),
+    Column("camera.max_angle_deg", "float", "deg", "where the image circle ends", "`[camera] max_angle_deg`"),
     Column(
         "catalogue",
         "string",
