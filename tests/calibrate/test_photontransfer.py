@@ -53,6 +53,17 @@ def test_gain_noise_and_defects_are_found() -> None:
     np.testing.assert_allclose(found.dark_frame_dn[HOT], BLACK_DN + GAIN * 300, rtol=0, atol=6 * GAIN * READ_E)
 
 
+@pytest.mark.parametrize(("response", "is_dead"), [(0.4, True), (0.6, False)])
+def test_a_pixel_is_dead_below_half_of_the_response_of_its_surroundings(response: float, is_dead: bool) -> None:
+    images = flats()
+    for image in images:
+        image[300, 400] = np.rint(BLACK_DN + response * (image[300, 380:420].mean() - BLACK_DN))
+
+    found = photon_transfer(photographs(frames(0.0, 8, 7)), photographs(images))
+
+    assert found.is_dead[300, 400] == is_dead
+
+
 @pytest.mark.parametrize("brighter_dn", [-80, 8, 120])
 def test_a_dark_frame_of_another_exposure_or_gain_is_refused(brighter_dn: int) -> None:
     darks = photographs(frames(0.0, 8, 7))
