@@ -140,9 +140,7 @@ _MODEL_NAMES: Mapping[LensModel | None, str] = {
 }
 _MODELS = {"": None} | {name: model for model, names in _MODEL_NAMES.items() for name in names.split()}
 # Coefficients of a lens that are written beside its camera matrix, not among its distortion coefficients.
-_FIRST_STEP: Mapping[str, tuple[str, ...]] = {
-    name: tuple(formulas.bounds) for name, formulas in LENS_MODELS.items() if formulas.bounds
-}
+_FIRST_STEP = {name: tuple(formulas.bounds) for name, formulas in LENS_MODELS.items() if formulas.bounds}
 # Lens models that glstar lacks, where a text may be a lens model or the name of a product.
 _LACKING = frozenset(
     {"ucm", "unified", "fov", "atan", "ftheta", "ocam", "ocamcalib", "division", "radialdivision"}

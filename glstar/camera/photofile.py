@@ -47,15 +47,9 @@ _RAW_SIGNATURES = (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FO
 # First bytes of the other formats that OpenCV reads.
 _PORTABLE_MAPS = tuple(f"P{kind}".encode() for kind in "1234567fF")
 _SIGNATURES = (
-    b"\x89PNG",
-    _JPEG,
-    b"BM",
-    b"GIF8",
-    b"\0\0\0\x0cjP  ",  # JPEG 2000
-    b"\xff\x4f\xff\x51",
-    b"\x76\x2f\x31\x01",  # OpenEXR
-    b"#?RGBE",
-    b"#?RADIANCE",
+    *(b"\x89PNG", _JPEG, b"BM", b"GIF8"),
+    *(b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51"),  # JPEG 2000
+    *(b"\x76\x2f\x31\x01", b"#?RGBE", b"#?RADIANCE"),  # OpenEXR, Radiance
     b"\x59\xa6\x6a\x95",  # Sun raster
     *_BIG_TIFF,
     *_PORTABLE_MAPS,

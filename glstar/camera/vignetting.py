@@ -121,13 +121,14 @@ def relative_solid_angle(camera: Camera, xy_px: ArrayLike) -> Float:
     direction = camera.unit_vectors(xy_px)
     if camera.lens is None:
         return np.asarray(direction[..., 2] ** 3)
-    per_pixel = _px2_per_sr(camera, np.array([0.0, 0.0, 1.0])) / _px2_per_sr(camera, direction)
+    per_pixel = px2_per_sr(camera, np.array([0.0, 0.0, 1.0])) / px2_per_sr(camera, direction)
     return np.asarray(np.where(np.isfinite(per_pixel), per_pixel, 0.0))
 
 
-def _px2_per_sr(camera: Camera, direction: Float) -> Float:
-    """Return the pixels per solid angle at unit vectors, (...)."""
-    return np.asarray(np.abs(np.linalg.det(camera.px_per_rad(direction))))
+def px2_per_sr(camera: Camera, direction: Float) -> Float:
+    """Return the pixels per solid angle at unit vectors, (...); NaN where the lens shows nothing."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(np.linalg.det(camera.px_per_rad(direction))))
 
 
 def _cosine(camera: Camera, xy_px: Float) -> Float:

@@ -157,8 +157,9 @@ def camera_settings(
         "sensor.analogue_gain": gain,
     }
     if camera is not None:
-        settings["camera.file" if is_file_name(camera) else "camera.preset"] = camera
-        if is_sensor_mode(camera):
+        is_mode = is_sensor_mode(camera)
+        settings["camera.preset" if is_mode or not is_file_name(camera) else "camera.file"] = camera
+        if is_mode:
             settings["sensor.preset"] = camera
     return settings
 

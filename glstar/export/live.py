@@ -248,26 +248,10 @@ class LiveExport:
             self._keep(frame, renderer, writer, on_event)
             if writer is not None:
                 deque(writer.drain(), maxlen=0)  # a picture is reported once its file has its name
-            camera.captured(self._captured(capture, frame.number))
+            assert self._simulator is not None
+            image = self._task().image_path(frame.number)
+            camera.captured(_captured_image(capture, self._simulator, span_s, image))
             on_frame(len(self._drawn))
-
-    def _captured(self, capture: Capture, number: int) -> CapturedImage:
-        """Return what the camera reports of a picture that was drawn."""
-        assert self._simulator is not None
-        flight, mount = self._simulator.flight, self._simulator.mount
-        mid_s = capture.start_utc_s + self._config.exposure.span_s / 2
-        site = flight.position.at(mid_s)
-        C_camera_ned = mount.C_camera_body @ matrix_from_quaternion(flight.attitude.at(mid_s))
-        # Forward, right, down of the camera are z, x, y of its image.
-        w, x, y, z = quaternion_from_matrix(C_camera_ned[[2, 0, 1]].T).tolist()
-        return CapturedImage(
-            capture,
-            float(np.rad2deg(site.latitude_rad)),
-            float(np.rad2deg(site.longitude_rad)),
-            site.height_m,
-            (w, x, y, z),
-            self._task().image_path(number).absolute().as_uri(),
-        )
 
     def _keep(
         self,
@@ -486,3 +470,14 @@ def recover(directory: Path) -> RecoveredExport:
         finish_nav(directory, numbers)
         truth.finish(numbers)
     return RecoveredExport(directory, len(numbers), tuple(damaged.values()))
+
+
+def _captured_image(capture: Capture, simulator: Simulator, span_s: float, image: Path) -> CapturedImage:
+    """Return what the camera of a link reports of a picture that was drawn; `span_s`: duration of its exposure."""
+    flight, mid_s = simulator.flight, capture.start_utc_s + span_s / 2
+    site = flight.position.at(mid_s)
+    C_camera_ned = simulator.mount.C_camera_body @ matrix_from_quaternion(flight.attitude.at(mid_s))
+    # Forward, right, down of the camera are z, x, y of its image.
+    w, x, y, z = quaternion_from_matrix(C_camera_ned[[2, 0, 1]].T).tolist()
+    latitude_deg, longitude_deg = np.rad2deg([site.latitude_rad, site.longitude_rad]).tolist()
+    return CapturedImage(capture, latitude_deg, longitude_deg, site.height_m, (w, x, y, z), image.absolute().as_uri())

@@ -406,13 +406,13 @@ def test_a_directory_that_may_not_be_written_is_refused(flight: Path, config: Pa
 def test_a_video_that_cannot_be_written_leaves_the_frames(
     flight: Path, config: Path, frames: Path, tmp_path: Path
 ) -> None:
-    line = refused("export", flight, "-c", config, "-o", frames, "--frames", 2, "--video", config / "flight.mp4")
+    line = refused("export", flight, "-c", config, "-o", frames, "--frames", 2, "--video", config / "flight.webm")
 
     assert "small.toml" in line
     assert sorted(contents(frames)) == ["frame_000000.png", "frame_000001.png", "manifest.json", "truth.jsonl"]
-    (tmp_path / "folder.mp4").mkdir()
-    line = refused("export", flight, "-c", config, "-o", frames, "--frames", 2, "--video", tmp_path / "folder.mp4")
-    assert "folder.mp4" in line
+    (tmp_path / "folder.webm").mkdir()
+    line = refused("export", flight, "-c", config, "-o", frames, "--frames", 2, "--video", tmp_path / "folder.webm")
+    assert "folder.webm" in line
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
@@ -579,12 +579,12 @@ def test_file_names_with_spaces_and_letters_of_all_scripts_work(config: Path, tm
     flight.write_text(f"{HEADER}\n{rows(60)}", encoding="utf-8")
     camera = folder / "camera & sky.toml"
     shutil.copy(config, camera)
-    words = ("export", flight, "-c", camera, "-o", folder / "frames «1»", "--video", folder / "ö x.mp4")
+    words = ("export", flight, "-c", camera, "-o", folder / "frames «1»", "--video", folder / "ö x.webm")
 
     result = run(*words, "--frames", 1, env=os.environ | {"LC_ALL": "C"})
 
     assert (result.rc, result.err) == (0, "")
-    assert (folder / "ö x.mp4").stat().st_size > 0
+    assert (folder / "ö x.webm").stat().st_size > 0
     manifest = json.loads((folder / "frames «1»" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["flight"]["name"] == flight.name
 

@@ -12,6 +12,7 @@ from typer.testing import CliRunner, Result
 from glstar.cli import app
 from glstar.cli.calibration.output import write_files
 from glstar.config import Config
+from glstar.errors import CalibrationError
 from tests.support.plainphotos import all_sky
 
 SETTINGS = """
@@ -387,7 +388,7 @@ def test_a_camera_in_portrait_orientation_matches_the_rotated_config(ground: Pat
     frame = cv2.imread(str(ground / "frames" / "frame_000000.png"), cv2.IMREAD_UNCHANGED)
     upright = photograph(tmp_path / "upright.png", cv2.rotate(frame, cv2.ROTATE_90_CLOCKWISE))
     known = ("--utc", UTC, *PLACE, *ATTITUDE, "-c", ground / "camera.toml", "--exposure", "0.5")
-    result = run("calibrate", upright, "-o", tmp_path / "upright.toml", "--json", *known)
+    result = run("calibrate", upright, "-o", tmp_path / "found.toml", "--json", *known)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert any("turned by" in note for note in found["notes"])
@@ -420,20 +421,11 @@ def test_a_calibration_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["C.TOML", "C.png"]
 
 
-@pytest.mark.parametrize(
-    "words", [["sky.png", "-o", "sky.toml"], ["sky.jpg", "--labels", "sky.stars.csv", "-o", "sky.toml"]]
-)
-def test_an_input_with_the_name_of_the_report_is_not_overwritten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("sky.png", "sky.jpg", "sky.stars.csv"):
-        Path(name).write_bytes(b"as it was")
+def test_a_photograph_with_the_name_of_the_report_is_not_replaced(tmp_path: Path) -> None:
+    image = tmp_path / "sky.png"
+    image.write_bytes(b"as it was")
 
-    result = CliRunner().invoke(app, ["calibrate", *words, "--fov", "40", "--exposure", "0.5"])
+    with pytest.raises(CalibrationError, match="would be replaced by the report of"):
+        write_files(tmp_path / "sky.toml", {"sky.toml": b"", "sky.json": b"", "sky.png": b"the report"}, [image])
 
-    assert result.exit_code == 1
-    assert "may be overwritten by the report of sky.toml" in result.stderr
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == dict.fromkeys(
-        ("sky.png", "sky.jpg", "sky.stars.csv"), b"as it was"
-    )
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"sky.png": b"as it was"}

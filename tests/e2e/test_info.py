@@ -78,8 +78,8 @@ LOGS = {
     "plane_SITL_adelaide_200Hz.BIN": (200, 134, (-34.81, 138.62), "2024-03-10T11:0", "night"),
     "plane_SITL_adelaide_100Hz.tlog": (100, 166, (-34.81, 138.62), "2024-03-10T11:0", "night"),
     "plane_skywalkerX8_TestLog2.reenc.BIN": (50, 613, (-37.96, 144.77), "2013-11-29T22:0", "day"),
-    "plane_Proto_FLT09.reenc.ulg": (86, 530, (45.22, -93.14), "2017-04-17T21:0", "day"),
-    "copter_pyulog_sample.ulg": (83, 69, None, None, None),
+    "plane_Proto_FLT09.reenc.ulg": (89.8, 530, (45.22, -93.14), "2017-04-17T21:0", "day"),
+    "copter_pyulog_sample.ulg": (93.7, 69, None, None, None),
     "vtol_ground_pyulog_sample_log_small.ulg": (204, 6.5, (63.417, 10.408), "2021-04-21T06:30:58", "day"),
     "rov_ardusub_small.tlog": (20, 264, (48.386, -124.631), "2023-05-04T17:15", "day"),
 }

@@ -24,7 +24,7 @@ latitude_deg = -34.93
 longitude_deg = 138.6
 duration_s = 40.0
 [camera]
-width_px = 240
+width_px = 300
 height_px = 180
 fx_px = 130.0
 fy_px = 130.0

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.scripts import randomfaults
 from tests.scripts.mutants import ROOT, Fault, Outcome, Workers, kept_faults, report
-from tests.scripts.randomfaults import changes_of, drawn_changes, snippets, tests_of
+from tests.scripts.randomfaults import changes_of, drawn_changes, snippets
 
 FAULTS = kept_faults()
 
@@ -133,7 +134,9 @@ def test_a_seed_draws_the_same_changes_of_every_kind() -> None:
 
 
 def test_the_tests_of_a_file_begin_with_those_that_import_it() -> None:
-    assert tests_of("glstar/score/gate.py")[0] == "tests/score/test_gate.py"
-    assert {"tests/score/test_score.py", "tests/score/test_runs.py"} <= set(tests_of("glstar/score/gate.py"))
-    assert "tests/score/test_gate.py" in tests_of("glstar/cli/images/score.py")
-    assert any(test.startswith("tests/gl/") for test in tests_of("glstar/render/simulator.py"))
+    assert randomfaults.tests_of("glstar/score/gate.py")[0] == "tests/score/test_gate.py"
+    assert {"tests/score/test_score.py", "tests/score/test_runs.py"} <= set(
+        randomfaults.tests_of("glstar/score/gate.py")
+    )
+    assert "tests/score/test_gate.py" in randomfaults.tests_of("glstar/cli/images/score.py")
+    assert any(test.startswith("tests/gl/") for test in randomfaults.tests_of("glstar/render/simulator.py"))

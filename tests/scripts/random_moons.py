@@ -96,8 +96,8 @@ def random_trial(seed: int) -> Trial:
         exposure = replace(exposure, readout_s=readout_s, readout=readout)
     middle_s = exposure.mid_utc_s
     pointing = simulator.pointing(np.array([middle_s]))
-    (ray,) = lens.unproject((centre + random.uniform(-5.0, 5.0, 2))[np.newaxis])
-    direction = ray / np.linalg.norm(ray) @ pointing.C_camera_eq[0] - pointing.velocity_eq[0]
+    (ray,) = lens.unit_vectors((centre + random.uniform(-5.0, 5.0, 2))[np.newaxis])
+    direction = ray @ pointing.C_camera_eq[0] - pointing.velocity_eq[0]
     direction /= np.linalg.norm(direction)
     side = np.cross(direction, random.normal(size=3))
     side /= np.linalg.norm(side)
@@ -144,7 +144,7 @@ def brute_force(trial: Trial) -> Float:
     """Return the noiseless signal of a trial, DN, (HEIGHT_PX, WIDTH_PX) float64."""
     simulator, exposure = trial.simulator, trial.exposure
     sigma_px = simulator.sensor.psf_sigma_px
-    cosine = np.linalg.norm(simulator.camera.unproject((np.array([WIDTH_PX, HEIGHT_PX]) - 1) / 2)) ** -1
+    cosine = simulator.camera.unit_vectors((np.array([WIDTH_PX, HEIGHT_PX]) - 1) / 2)[2]
     radius_px = trial.body.angular_radius_rad * FOCAL_PX / cosine**2
     directions, light = points_of(trial.body, SPACING_SIGMA * sigma_px / radius_px)
     span_s, utc_s = recorded_span_s(exposure), exposure.start_utc_s

@@ -83,7 +83,6 @@ def pairs() -> dict[str, list[Pair]]:
         bodies = observed_bodies(sky(dut1_s=time.dut1), utc_s, Site(latitude_rad, longitude_rad, height_m))
         for body in bodies:
             found[body.name].append(skyfield_pair(body, observer, ephemeris, timescale))
-    ephemeris.close()
     return found
 
 

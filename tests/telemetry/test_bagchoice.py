@@ -725,8 +725,8 @@ def test_px4_topics_are_a_flight_by_utc_or_since_boot(tmp_path: Path, kind: str,
     assert flight.attitude.first_s == pytest.approx(START_NS * 1e-9, abs=2e-3)
     assert flight.attitude_source == f"/fmu/out/{attitude}, 25.0 Hz"
     site = flight.position.at(START_NS * 1e-9 + 2.0)
-    np.testing.assert_allclose(np.rad2deg([site.latitude_rad, site.longitude_rad]), [-34.93, 138.6], atol=1e-9)
-    assert site.height_m == pytest.approx(150.0)
+    np.testing.assert_allclose(np.rad2deg([site.latitude_rad, site.longitude_rad]), [-34.93, 138.6], rtol=0, atol=1e-9)
+    assert site.height_m == pytest.approx(150.0, rel=0, abs=1e-6)
     assert flight.utc_source.startswith("/fmu/out/vehicle_gps_position")
     open_flight(tmp_path / "bag", interpolation="gyro")
 

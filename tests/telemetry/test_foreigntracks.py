@@ -314,7 +314,7 @@ def test_fixes_of_other_days_are_no_gap_of_the_flight(tmp_path: Path) -> None:
     flight = open_flight(table(tmp_path / "flight.csv"), position=str(tmp_path / "track.gpx"))
 
     assert not any("has no fix for" in note for note in flight.notes)
-    assert flight.position.at(FIRST_S + 10).height_m == pytest.approx(100)
+    assert flight.position.at(FIRST_S + 10).height_m == pytest.approx(100, rel=0, abs=1e-6)
 
 
 def test_heights_of_zero_between_others_are_none(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_utc_of_a_ground_station_is_used_if_the_autopilot_has_none() -> None:
 
     assert flight.attitude.first_s == pytest.approx(parse_utc("2023-05-04T17:15:40.8Z"), abs=0.1)
     assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(263.6, abs=0.1)
-    assert flight.attitude_source == "ATTITUDE, 20.0 Hz"
+    assert flight.attitude_source == "ATTITUDE, 19.9 Hz"
     assert flight.utc_source == "SYSTEM_TIME of system 255, component 190, on arrival, 2 readings"
     site = flight.position.at(flight.attitude.first_s)
     assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([48.386, -124.631], abs=0.001)

@@ -153,12 +153,11 @@ def calibrate(
     if _calibrated_from_darks(images, darks, flats, output, bit_depth, as_json=as_json):
         return
     _require_possible_twin(twin, images or [], geometry_only, shape, fit_readout, extinction)
-    from glstar.calibrate.pipeline import calibrate_photographs  # noqa: PLC0415 - OpenCV, SciPy
+    from glstar.calibrate import pipeline  # noqa: PLC0415 - OpenCV, SciPy
     from glstar.cli.calibration import output as reports  # noqa: PLC0415 - OpenCV, SciPy
 
-    reports.require_other_names(output, [*(images or []), *(path for path in (labels, flight) if path is not None)])
     with reports.showing_progress() as (on_step, on_note):
-        result = calibrate_photographs(
+        result = pipeline.calibrate_photographs(
             images or [],
             config=config,
             fov_deg=fov,
@@ -181,7 +180,7 @@ def calibrate(
             on_step=on_step,
             on_note=on_note,
         )
-    reports.write_and_print(result, output, camera_out, twin=twin, as_json=as_json)
+    reports.write_and_print(result, output, camera_out, images or [], twin=twin, as_json=as_json)
 
 
 def _calibrated_from_darks(

@@ -1,7 +1,7 @@
 """Files and messages of ``glstar calibrate``, which writes and prints what `glstar.calibrate` measures."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,8 +24,6 @@ from glstar.errors import CalibrationError
 from glstar.export.directory import explain_disk_errors
 from glstar.system.files import write_atomically
 
-# Suffixes of what is written beside a calibration.
-_WRITTEN = {".png", ".json", ".csv"}
 # A larger fraction of hot pixels is reported: real sensors have some hundred in a million.
 _MANY_HOT = 0.01
 
@@ -38,20 +36,15 @@ def showing_progress() -> Iterator[tuple[Callable[[int, int], None], Callable[[s
         yield on_step, lambda text: echo_note(f"note: {text}")
 
 
-def require_other_names(output: Path, inputs: Iterable[Path]) -> None:
-    """Reject an output whose report, star list or twin may have the name of an input; raises CalibrationError."""
-    folder = output.absolute().resolve().parent
-    for path in inputs:
-        own = path.absolute().resolve()
-        if own.parent == folder and own.name.startswith(f"{output.stem}.") and own.suffix.lower() in _WRITTEN:
-            raise CalibrationError(
-                f"may be overwritten by the report of {output}, which has the same name; give -o another one", path=path
-            )
+def write_files(output: Path, files: dict[str, bytes], inputs: Collection[Path] = ()) -> list[Path]:
+    """Write files beside an output, by file name, and return their paths; that of its stem as the output itself.
 
-
-def write_files(output: Path, files: dict[str, bytes]) -> list[Path]:
-    """Write files beside an output, by file name, and return their paths; that of its stem as the output itself."""
+    Raises CalibrationError, and writes nothing, if one of them would replace an input.
+    """
     paths = [output if name == f"{output.stem}.toml" else output.with_name(name) for name in files]
+    for given in inputs:
+        if any(path.exists() and path.samefile(given) for path in paths if path.suffix != ".toml"):
+            raise CalibrationError(f"would be replaced by the report of {output}; give -o another name", path=given)
     for path, content in zip(paths, files.values(), strict=True):
         with explain_disk_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,10 +53,16 @@ def write_files(output: Path, files: dict[str, bytes]) -> list[Path]:
 
 
 def write_and_print(
-    result: pipeline.CalibrationResult, output: Path, camera_out: Path | None, *, twin: bool, as_json: bool
+    result: pipeline.CalibrationResult,
+    output: Path,
+    camera_out: Path | None,
+    inputs: Collection[Path],
+    *,
+    twin: bool,
+    as_json: bool,
 ) -> None:
     """Write the files of a calibration, with the twin of its photograph if that is requested, and print the result."""
-    write_files(output, pipeline.calibration_files(result, output.stem))
+    write_files(output, pipeline.calibration_files(result, output.stem), inputs)
     if camera_out is not None:
         write_files(camera_out, {camera_out.name: pipeline.camera_file(result).encode()})
     if twin:

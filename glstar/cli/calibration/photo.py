@@ -10,7 +10,7 @@ from glstar.calibrate.identify.hints import identify_again
 from glstar.calibrate.inputs import inputs_of
 from glstar.calibrate.photo.detection import detect_stars
 from glstar.calibrate.sensor.calibration import Calibration
-from glstar.cli.calibration.output import report_lines, require_other_names, write_files
+from glstar.cli.calibration.output import report_lines, write_files
 from glstar.sky.catalogue.reading import star_label
 from glstar.viewer.picture.fitting import CalibratedPhoto, CalibrationProgress, CalibrationRequest
 
@@ -82,8 +82,7 @@ def _result(photograph: pipeline.IdentifiedPhotograph, result: Calibration | Geo
 
     def save(path: Path) -> list[Path]:
         path = path.with_suffix(".toml")
-        require_other_names(path, [photograph.image.path])
-        return write_files(path, pipeline.calibration_files(result, path.stem))
+        return write_files(path, pipeline.calibration_files(result, path.stem), [photograph.image.path])
 
     return CalibratedPhoto(
         name=tuple(names),

@@ -14,6 +14,7 @@ import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.flights import windowoptions
+from glstar.cli.flights.linkcommands import list_ports
 from glstar.cli.flights.mavlinkcamera import CameraOptions, with_camera_options
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
 from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
@@ -28,7 +29,6 @@ from glstar.link import (
     LinkStatus,
     Recorder,
     Truth,
-    serial_ports,
 )
 from glstar.link.history import SIMULATOR_NAMES
 from glstar.link.packets import dialect
@@ -226,7 +226,7 @@ def live(
     Try: glstar live /dev/ttyUSB0,57600 --record flight.tlog
     """
     if link is None:
-        _list_ports(as_json=as_json)
+        list_ports(as_json=as_json)
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
@@ -237,20 +237,18 @@ def live(
     windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
-    injection = _Injection.of(
-        endpoint, inject, inject_host, answers, inject_as, inject_max_km, exports=frames is not None
-    )
+    wanted = inject, inject_host, answers, inject_as, inject_max_km
+    injection = _Injection.of(endpoint, *wanted, exports=frames is not None)
     camera = commanded.component(settings, export, has_interval=every is not None)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
-        injector = None if injection is None else injection.injector
-        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "camera": camera}
-        opened = stack.enter_context(_open(endpoint, settings, truth=truth, injector=injector, **options))
+        senders = {"camera": camera, "injector": None if injection is None else injection.injector}
+        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth}
+        opened = stack.enter_context(_open(endpoint, settings, **options, **senders))
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
         report = _follow(opened, settings, window, frames, injection, duration)
-        elapsed_s = time.monotonic() - start_s
-        status = opened.status()
+        elapsed_s, status = time.monotonic() - start_s, opened.status()
     _refuse_silence(status, elapsed_s)
     if status.lacks_gimbal and report.get("drawn") == 0:
         raise LinkError(status.endpoint, f"nothing was drawn: {GIMBAL_LACK}")
@@ -459,26 +457,3 @@ def _refuse_file(link: str) -> None:
     """Refuse the path of a flight log, which is easily given instead of a link."""
     if Path(link).is_file():
         raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar view {link}'")
-
-
-def _list_ports(*, as_json: bool) -> None:
-    """List the serial ports, and the forms of a link."""
-    ports = serial_ports()
-    if as_json:
-        typer.echo(json.dumps([{"device": port.device, "description": port.description} for port in ports]))
-        return
-    if ports:
-        typer.echo("serial ports:")
-        for port in ports:
-            typer.echo(f"  {port.device}  {port.description}")
-    else:
-        typer.echo("no serial port: nothing is plugged in")
-    example = ports[0].device if ports else "/dev/ttyUSB0"
-    typer.echo(
-        "\nglstar live LINK, where LINK is\n"
-        f"  {example},57600          a radio; an autopilot's USB port needs no rate\n"
-        "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
-        "  udpout:192.168.1.7:14550     a vehicle that waits for the first packet\n"
-        "  tcp:127.0.0.1:5760           a simulator\n"
-        "No vehicle at hand? glstar replay-link FLIGHT udpout:127.0.0.1:14550 plays one."
-    )

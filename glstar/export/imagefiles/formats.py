@@ -2,9 +2,10 @@
 
 import os
 import struct
+import sys
 import zlib
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from fractions import Fraction
 from importlib.util import find_spec
 from io import BytesIO
@@ -116,12 +117,27 @@ def is_pyav_installed() -> bool:
     return find_spec("av") is not None
 
 
+@contextmanager
+def _silent_libraries() -> Iterator[None]:
+    """Suppress what C libraries write to standard error: FFmpeg remarks on each WebM that its tag is another one."""
+    sys.stderr.flush()
+    before = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:  # noqa: PTH123 - a device
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+
+
 class _OpenCVWriter:
     """Encodes a video of pictures of a size, px, with OpenCV; raises ValueError if it has no encoder."""
 
     def __init__(self, path: Path, size_px: tuple[int, int], frames_per_s: float) -> None:
         codec = cv2.VideoWriter.fourcc(*_FOUR_CC[path.suffix.lower()])
-        self._writer = cv2.VideoWriter(str(path), codec, frames_per_s, size_px, isColor=True)
+        with _silent_libraries():
+            self._writer = cv2.VideoWriter(str(path), codec, frames_per_s, size_px, isColor=True)
         if not self._writer.isOpened():
             raise ValueError("OpenCV has no encoder for it")
 

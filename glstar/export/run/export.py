@@ -228,9 +228,9 @@ class Export:
         is_new = not self.directory.exists()
         if not is_new:
             locked.enter_context(directory_lock(self.directory, shared=shared))
-            if not shared:
+            if not shared and not force:
                 refuse_links(self.directory)
-                force = force or not holds_frames(self.directory)
+                force = not holds_frames(self.directory)
         missing = wanted if is_new or force else missing_frames(self.task, manifest, truth, wanted)
         if missing.size:
             executor.preflight(self.task, int(missing[0]))

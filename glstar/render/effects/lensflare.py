@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.arrays import Float
 from glstar.camera.model import Camera
+from glstar.camera.vignetting import px2_per_sr
 from glstar.render.effects import sky as skylight
 from glstar.render.effects.cloud import transmission_towards
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
@@ -76,8 +77,7 @@ def _projected_solid_angles_sr(camera: Camera, rays: Float) -> Float:
     """Return the solid angles of pixels in some directions, (...), times the cosines of these."""
     if camera.lens is None:
         return np.asarray(rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px))
-    px2_per_sr = np.abs(np.linalg.det(camera.px_per_rad(rays)))
-    return np.asarray(np.nan_to_num(np.maximum(rays[..., 2], 0.0) / np.maximum(px2_per_sr, 1.0)))
+    return np.asarray(np.nan_to_num(np.maximum(rays[..., 2], 0.0) / np.maximum(px2_per_sr(camera, rays), 1.0)))
 
 
 def _sources(values: Values, scene: Scene) -> list[_Source]:
