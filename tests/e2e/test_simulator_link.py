@@ -214,7 +214,7 @@ def test_whatever_arrives_the_answers_after_it_are_sent(source: str, tmp_path: P
 
     (fix,) = injector._fixes
     assert np.rad2deg([fix.latitude_rad, fix.longitude_rad]) == pytest.approx([-34.93, 138.6], rel=0, abs=1e-9)
-    assert len(messages) == len(HOSTILE)
+    assert len(messages) == len(HOSTILE) - (source == "socket")
     assert all(len(message) < 400 for message in messages)
 
 

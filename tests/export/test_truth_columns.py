@@ -57,6 +57,7 @@ vignetting = "cos4"
 [sky]
 vmag_limit = 4.0
 preset = "natural"
+earthshine = true
 scintillation = 0.38
 horizon = "ridge.csv"
 satellites = "pass.tle"
