@@ -237,12 +237,13 @@ class FlightFlags:
 
     def by_key(self) -> dict[str, str]:
         """Return the flags that set a value, by dotted key of the config."""
-        camera = "--camera"
-        flags = {"camera.file": camera, "camera.preset": camera, "sensor.preset": camera, "camera.lens_mm": "--lens-mm"}
-        flags |= {"camera.f_number": "--f-number", "sensor.analogue_gain": "--gain"}
-        given = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
-        keys = {key: flag for key, flag in flags.items() if given.get(key) is not None}
-        return keys | {f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in self.given()}
+        of_lens = {"camera.lens_mm": "--lens-mm", "camera.f_number": "--f-number", "sensor.analogue_gain": "--gain"}
+        settings = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
+        given = self.given()
+        return {
+            **{key: of_lens.get(key, "--camera") for key, value in settings.items() if value is not None},
+            **{f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in given},
+        }
 
 
 def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -171,6 +171,19 @@ class LiveExport:
         """End `run` after the current frame; another thread may call it."""
         self._stopping.set()
 
+    def _turns(
+        self, until_s: float, writer: FrameWriter | None, on_event: Callable[[str], None]
+    ) -> Generator[float, None, None]:
+        """Report events and complete files again and again; yield the time left, s, until it ends or is stopped."""
+        last_event = 0
+        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set() and self._link.failure is None:
+            for event in self._link.events(last_event):
+                last_event = event.number
+                on_event(event.message)
+            if writer is not None:
+                deque(writer.poll(), maxlen=0)
+            yield left_s
+
     def _follow(
         self,
         renderer: Renderer,
@@ -180,15 +193,10 @@ class LiveExport:
         on_frame: Callable[[int], None],
     ) -> None:
         every_s = self._config.exposure.interval_s
-        last_event, lacked, due_s = 0, "", -inf
+        lacked, due_s = "", -inf
         before: LatestAttitude | None = None
         report_after_s = time.monotonic() + _REPORT_DELAY_S
-        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set() and self._link.failure is None:
-            for event in self._link.events(last_event):
-                last_event = event.number
-                on_event(event.message)
-            if writer is not None:
-                deque(writer.poll(), maxlen=0)
+        for left_s in self._turns(until_s, writer, on_event):
             now = self._link.latest()
             if now is not None:
                 # If UTC is set, the next exposure is due one interval after the previous one, not at the old UTC.
@@ -226,13 +234,8 @@ class LiveExport:
         """Draw the exposures that are commanded, each as soon as its attitudes have arrived."""
         camera = self._link.camera
         assert camera is not None
-        span_s, last_event = self._config.exposure.span_s, 0
-        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set() and self._link.failure is None:
-            for event in self._link.events(last_event):
-                last_event = event.number
-                on_event(event.message)
-            if writer is not None:
-                deque(writer.poll(), maxlen=0)
+        span_s = self._config.exposure.span_s
+        for left_s in self._turns(until_s, writer, on_event):
             capture = camera.next()
             if capture is None:
                 self._stopping.wait(min(_COMMAND_POLL_S, left_s))

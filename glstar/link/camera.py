@@ -226,7 +226,7 @@ class CameraComponent:
 
     def _digicam(self, command: Any, now: _Now) -> int:
         """Take a picture if parameter 5 is 1; zoom, focus and session are not there."""
-        if command.command != self._mavlink.MAV_CMD_DO_DIGICAM_CONTROL or _fifth(command) != 1:
+        if _fifth(command) != 1:
             return int(self._mavlink.MAV_RESULT_ACCEPTED)
         return self._take_one("DO_DIGICAM_CONTROL", command, now, 0)
 

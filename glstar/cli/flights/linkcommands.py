@@ -127,28 +127,3 @@ def replay_link(
         return
     dropped = f", {done.dropped} more than the link could carry" if done.dropped else ""
     typer.echo(f"{done.duration_s:.1f} s played, {done.packets} packets{dropped}")
-
-
-def list_ports(*, as_json: bool) -> None:
-    """List the serial ports, and the forms of a link."""
-    from glstar.link import serial_ports  # noqa: PLC0415 - pymavlink
-
-    ports = serial_ports()
-    if as_json:
-        typer.echo(json.dumps([{"device": port.device, "description": port.description} for port in ports]))
-        return
-    if ports:
-        typer.echo("serial ports:")
-        for port in ports:
-            typer.echo(f"  {port.device}  {port.description}")
-    else:
-        typer.echo("no serial port: nothing is plugged in")
-    example = ports[0].device if ports else "/dev/ttyUSB0"
-    typer.echo(
-        "\nglstar live LINK, where LINK is\n"
-        f"  {example},57600          a radio; an autopilot's USB port needs no rate\n"
-        "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
-        "  udpout:192.168.1.7:14550     a vehicle that waits for the first packet\n"
-        "  tcp:127.0.0.1:5760           a simulator\n"
-        "No vehicle at hand? glstar replay-link FLIGHT udpout:127.0.0.1:14550 plays one."
-    )

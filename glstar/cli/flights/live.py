@@ -14,22 +14,13 @@ import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.flights import windowoptions
-from glstar.cli.flights.linkcommands import list_ports
-from glstar.cli.flights.mavlinkcamera import CameraOptions, with_camera_options
+from glstar.cli.flights.linkoptions import CameraOptions, Injection, InjectionOptions, with_link_options
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
 from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.link import (
-    Endpoint,
-    InjectedMessage,
-    Injector,
-    Link,
-    LinkStatus,
-    Recorder,
-    Truth,
-)
+from glstar.link import Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.history import SIMULATOR_NAMES
 from glstar.link.packets import dialect
 from glstar.link.status import GIMBAL_LACK
@@ -76,35 +67,6 @@ TruthOf = Annotated[
         " HIL_STATE_QUATERNION or SIMSTATE); nav.jsonl of --export then has the estimate.",
     ),
 ]
-Inject = Annotated[
-    bool,
-    typer.Option(
-        "--inject",
-        help="Send the positions of --answers to the autopilot.",
-    ),
-]
-InjectAs = Annotated[
-    InjectedMessage | None,
-    typer.Option(
-        help="The message of --inject: EXTERNAL_POSITION_ESTIMATE (43003), GPS_INPUT or GLOBAL_POSITION_SENSOR.",
-        show_default="external_position",
-    ),
-]
-InjectHost = Annotated[
-    str | None,
-    typer.Option(
-        help="The host or port of LINK, to send positions to a vehicle that is not simulated on this computer.",
-        show_default=False,
-    ),
-]
-InjectMaxKm = Annotated[
-    float | None,
-    typer.Option(
-        min=0.1,
-        help="How much farther than it can have flown since the last position a position of --inject may be, km.",
-        show_default="200",
-    ),
-]
 Answers = Annotated[
     str | None,
     typer.Option(
@@ -147,48 +109,9 @@ class _ExportOptions:
         return None if directory is None and publishing.where is None else cls(directory, publishing, *others)
 
 
-@dataclass(frozen=True, slots=True)
-class _Injection:
-    """Answers that are sent to the autopilot."""
-
-    answers: str
-    injector: Injector
-
-    @classmethod
-    def of(
-        cls,
-        endpoint: Endpoint,
-        inject: bool,
-        host: str | None,
-        answers: str | None,
-        message: InjectedMessage | None,
-        max_km: float | None,
-        *,
-        exports: bool,
-    ) -> Self | None:
-        """Return the injection; None if it is not asked for."""
-        if not inject:
-            of_injection = {
-                "--inject-host": host,
-                "--inject-as": message,
-                "--inject-max-km": max_km,
-                "--answers": answers if exports else None,
-            }
-            for name, value in of_injection.items():
-                if value is not None:
-                    raise typer.BadParameter("belongs to --inject, without which nothing is sent", param_hint=name)
-            return None
-        if not exports:
-            raise typer.BadParameter("answers are for frames: add --export or --latest-frame", param_hint="--inject")
-        if answers is None:
-            raise typer.BadParameter("says no source of answers: add --answers FILE, or -", param_hint="--inject")
-        limits = {} if max_km is None else {"max_km": max_km}
-        return cls(answers, Injector(endpoint, host, message or "external_position", **limits))
-
-
 # These options apply to logs only.
 @with_verbosity
-@with_camera_options
+@with_link_options
 @with_flight_flags(but={"attitude", "boot", "columns", "position", "vehicle"})
 def live(
     link: LinkName = None,
@@ -205,10 +128,7 @@ def live(
     flags: FlightFlags,
     utc_now: UtcNow = False,
     truth: TruthOf = "estimator",
-    inject: Inject = False,
-    inject_as: InjectAs = None,
-    inject_host: InjectHost = None,
-    inject_max_km: InjectMaxKm = None,
+    injected: InjectionOptions,
     answers: Answers = None,
     commanded: CameraOptions,
     format_: Format = None,
@@ -226,7 +146,7 @@ def live(
     Try: glstar live /dev/ttyUSB0,57600 --record flight.tlog
     """
     if link is None:
-        list_ports(as_json=as_json)
+        _list_ports(as_json=as_json)
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
@@ -237,8 +157,7 @@ def live(
     windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
-    wanted = inject, inject_host, answers, inject_as, inject_max_km
-    injection = _Injection.of(endpoint, *wanted, exports=frames is not None)
+    injection = injected.injection(endpoint, answers, exports=frames is not None)
     camera = commanded.component(settings, export, has_interval=every is not None)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
@@ -248,7 +167,8 @@ def live(
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
         report = _follow(opened, settings, window, frames, injection, duration)
-        elapsed_s, status = time.monotonic() - start_s, opened.status()
+        elapsed_s = time.monotonic() - start_s
+        status = opened.status()
     _refuse_silence(status, elapsed_s)
     if status.lacks_gimbal and report.get("drawn") == 0:
         raise LinkError(status.endpoint, f"nothing was drawn: {GIMBAL_LACK}")
@@ -286,7 +206,7 @@ def _follow(
     settings: Config,
     window: _WindowOptions,
     frames: _ExportOptions | None,
-    injection: _Injection | None,
+    injection: Injection | None,
     duration_s: float | None,
 ) -> dict[str, object]:
     """Export, record or show the link, and return the report."""
@@ -345,7 +265,7 @@ def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_
 
 
 def _export(
-    link: Link, settings: Config, frames: _ExportOptions, injection: _Injection | None, duration_s: float | None
+    link: Link, settings: Config, frames: _ExportOptions, injection: Injection | None, duration_s: float | None
 ) -> dict[str, object]:
     """Write frames as they happen, and return the report."""
     # OpenCV and OpenGL, only if frames are drawn.
@@ -457,3 +377,26 @@ def _refuse_file(link: str) -> None:
     """Refuse the path of a flight log, which is easily given instead of a link."""
     if Path(link).is_file():
         raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar view {link}'")
+
+
+def _list_ports(*, as_json: bool) -> None:
+    """List the serial ports, and the forms of a link."""
+    ports = serial_ports()
+    if as_json:
+        typer.echo(json.dumps([{"device": port.device, "description": port.description} for port in ports]))
+        return
+    if ports:
+        typer.echo("serial ports:")
+        for port in ports:
+            typer.echo(f"  {port.device}  {port.description}")
+    else:
+        typer.echo("no serial port: nothing is plugged in")
+    example = ports[0].device if ports else "/dev/ttyUSB0"
+    typer.echo(
+        "\nglstar live LINK, where LINK is\n"
+        f"  {example},57600          a radio; an autopilot's USB port needs no rate\n"
+        "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
+        "  udpout:192.168.1.7:14550     a vehicle that waits for the first packet\n"
+        "  tcp:127.0.0.1:5760           a simulator\n"
+        "No vehicle at hand? glstar replay-link FLIGHT udpout:127.0.0.1:14550 plays one."
+    )

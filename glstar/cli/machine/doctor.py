@@ -16,8 +16,6 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar import __version__
-from glstar.cli.flightoptions import log_of
-from glstar.config import Config
 from glstar.errors import GlstarError
 from glstar.sky.catalogue.reading import NAMES, StarCatalogue
 from glstar.system.installation import broken_libraries, library_versions, missing_library
@@ -168,6 +166,8 @@ def bench(
 
 def _rates_of(renderer: "GLRenderer", width_px: int, seconds: float, folder: Path) -> dict[str, Any]:
     """Return the rates of one image size."""
+    from glstar.cli.flightoptions import log_of  # noqa: PLC0415 - doctor needs no config
+    from glstar.config import Config  # noqa: PLC0415 - the same
     from glstar.export.plan.frames import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.export.run.prepare import prepare_export  # noqa: PLC0415
 

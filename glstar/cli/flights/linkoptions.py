@@ -1,4 +1,4 @@
-"""The options of ``glstar live`` for a MAVLink camera beside the vehicle."""
+"""The options of ``glstar live`` for what it sends besides requests: positions, and as a camera beside the vehicle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,10 +10,40 @@ import typer
 
 from glstar.cli.flightoptions import with_fields_as_options
 from glstar.config import Config
+from glstar.link import Endpoint, InjectedMessage, Injector
 from glstar.link.camera import CAMERA_ID, CameraComponent, CameraFacts
 
 _MIB = 2.0**20
 
+Inject = Annotated[
+    bool,
+    typer.Option(
+        "--inject",
+        help="Send the positions of --answers to the autopilot.",
+    ),
+]
+InjectAs = Annotated[
+    InjectedMessage | None,
+    typer.Option(
+        help="The message of --inject: EXTERNAL_POSITION_ESTIMATE (43003), GPS_INPUT or GLOBAL_POSITION_SENSOR.",
+        show_default="external_position",
+    ),
+]
+InjectHost = Annotated[
+    str | None,
+    typer.Option(
+        help="The host or port of LINK, to send positions to a vehicle that is not simulated on this computer.",
+        show_default=False,
+    ),
+]
+InjectMaxKm = Annotated[
+    float | None,
+    typer.Option(
+        min=0.1,
+        help="How much farther than it can have flown since the last position a position of --inject may be, km.",
+        show_default="200",
+    ),
+]
 MavlinkCamera = Annotated[
     bool,
     typer.Option(
@@ -73,6 +103,48 @@ class CameraOptions:
         return CameraComponent(facts, component=component, delay_s=self.camera_delay or 0.0)
 
 
-def with_camera_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace the parameter ``commanded: CameraOptions`` of a command by one option for each field."""
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """Answers that are sent to the autopilot."""
+
+    answers: str
+    injector: Injector
+
+
+@dataclass(frozen=True, slots=True)
+class InjectionOptions:
+    """How answers are sent to the autopilot, if they are to be."""
+
+    inject: Inject = False
+    inject_as: InjectAs = None
+    inject_host: InjectHost = None
+    inject_max_km: InjectMaxKm = None
+
+    def injection(self, endpoint: Endpoint, answers: str | None, *, exports: bool) -> Injection | None:
+        """Return the injection of answers into a link; None if there is to be none.
+
+        `exports`: whether there are frames to be answered.
+        """
+        if not self.inject:
+            of_injection = {
+                "--inject-host": self.inject_host,
+                "--inject-as": self.inject_as,
+                "--inject-max-km": self.inject_max_km,
+                "--answers": answers if exports else None,
+            }
+            for name, value in of_injection.items():
+                if value is not None:
+                    raise typer.BadParameter("belongs to --inject, without which nothing is sent", param_hint=name)
+            return None
+        if not exports:
+            raise typer.BadParameter("answers are for frames: add --export or --latest-frame", param_hint="--inject")
+        if answers is None:
+            raise typer.BadParameter("says no source of answers: add --answers FILE, or -", param_hint="--inject")
+        limits = {} if self.inject_max_km is None else {"max_km": self.inject_max_km}
+        return Injection(answers, Injector(endpoint, self.inject_host, self.inject_as or "external_position", **limits))
+
+
+def with_link_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace the parameters ``injected`` and ``commanded`` of a command by one option for each of their fields."""
+    command = with_fields_as_options(command, "injected", InjectionOptions)
     return with_fields_as_options(command, "commanded", CameraOptions)
