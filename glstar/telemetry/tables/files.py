@@ -414,8 +414,10 @@ class Dump:
         remaining = csv_rows(name, delimiter=between, quoted=False)
         header = next(remaining, (0, []))[1]
         self.header = tuple(cell.strip() for cell in header)
+        needed = dict.fromkeys(wanted or self.header)
         with reading(name, LogFormatError):
-            every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
+            refuse_repeated(self.header, needed)
+        every = {column: self._index(column) for column in needed}
         indices = {column: index for column, index in every.items() if index is not None}
         text_at = self.header.index(texts) if texts in self.header else None
         lines: list[Float] = []
@@ -445,7 +447,6 @@ class Dump:
     def _index(self, name: str) -> tuple[int, int | None] | None:
         """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
         if name in self.header:
-            refuse_repeated(self.header, {name})
             return self.header.index(name), None
         match = _LIST_ITEM.fullmatch(name)
         return (self.header.index(match[1]), int(match[2])) if match and match[1] in self.header else None
