@@ -22,9 +22,8 @@ from glstar.compare.pairs import measure, pair_trails
 from glstar.compare.prediction import Trails, trail_jacobian
 from glstar.errors import ImagesError
 from glstar.images import read_grey
-from glstar.images.times import BESIDE, TABLES, TRUTH, truth_files
+from glstar.images.times import BESIDE, TABLES, TRUTH, json_lines, truth_files
 from glstar.render.truth.frame import as_current_schema
-from glstar.system.userinput import lines_of, read_json
 
 # Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
 _PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0
@@ -144,10 +143,10 @@ def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the lines of an export's truth by file name, in the current schema; none without a truth file."""
     truth: dict[str, dict[str, Any]] = {}
     for path in truth_files(folder):
-        with suppress(OSError, ValueError), path.open("rb") as lines:
-            for line in lines_of(lines):
-                with suppress(ValueError, KeyError, TypeError, RecursionError):
-                    frame = as_current_schema(read_json(line))
+        with suppress(OSError, ValueError):
+            for line in json_lines(path):
+                with suppress(ValueError, KeyError, TypeError):
+                    frame = as_current_schema(line)
                     truth[frame["file"]] = frame
     return truth
 

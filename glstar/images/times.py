@@ -299,7 +299,7 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
     OSError if the file cannot be read.
     """
     times: dict[str, ImageTime] = {}
-    for line in _json_lines(path):
+    for line in json_lines(path):
         with suppress(KeyError, TypeError, ValueError, ConfigError):
             if line["schema"] in SCHEMAS_READ:
                 # Exports of glstar 0.1.0 have no camera clock.
@@ -309,7 +309,11 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
     return times
 
 
-def _json_lines(path: Path) -> Iterator[Any]:
+def json_lines(path: Path) -> Iterator[Any]:
+    """Yield the values of the lines of a file of JSON; damaged lines are skipped.
+
+    Raises OSError if it cannot be read, and ValueError if a line is too long.
+    """
     with path.open("rb") as lines:
         for line in lines_of(lines):
             with suppress(ValueError):

@@ -28,11 +28,10 @@ module                holds
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from glstar.errors import LogFormatError, reading
 from glstar.flight import Flight, Interpolation
@@ -209,28 +208,29 @@ def open_source(
         return _described(name, attitude=attitude, sysid=sysid, boot=boot, vehicle=vehicle)
     if _LINK.match(name) and not Path(name).exists():
         raise LogFormatError(name, f"is a link, not a file; glstar live {name} shows what it sends")
-    options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}
+
+    def opened_as(path: str, kind: LogFormat) -> TelemetrySource:
+        return _reader(path, kind, sysid, vehicle, columns)(path, attitude=attitude, boot=boot)
+
     with reading(name, LogFormatError):
-        return _opened(name, options, 0)
+        return _opened(name, opened_as, 0)
 
 
-def _opened(name: str, options: Mapping[str, Any], archives: int) -> TelemetrySource:
-    """Open a file with the reader for its format; `archives`: the number of those that it is in."""
-    attitude, sysid, boot, columns, vehicle = options.values()
+def _opened(name: str, opened_as: Callable[[str, LogFormat], TelemetrySource], archives: int) -> TelemetrySource:
+    """Open a file in its format; `archives`: the number of those that it is in."""
     refuse_more("archives", archives)
     if is_bag_directory(name):
-        kind = next(entry for entry in LOG_FORMATS if entry.has_name_spaces)
-        return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
+        return opened_as(name, next(entry for entry in LOG_FORMATS if entry.has_name_spaces))
     archive, member = archive_and_member(name)
     head = _head(archive)
     if member and not (formats.is_packed(head) and head.startswith(b"PK")):
         raise LogFormatError(name, "only a zip archive has members")
     if formats.is_packed(head):
-        return UnpackedSource(name, formats.unpack, lambda inside: _opened(inside, options, archives + 1))
+        return UnpackedSource(name, formats.unpack, lambda inside: _opened(inside, opened_as, archives + 1))
     recognised = formats.log_format(head)
     if recognised is None:
         raise LogFormatError(name, f"this is {formats.other_file(head, name)} ({formats.READABLE})", offset=0)
-    return _reader(name, recognised, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
+    return opened_as(name, recognised)
 
 
 def _reader(

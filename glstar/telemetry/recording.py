@@ -317,21 +317,18 @@ def _position(batches: list[PositionSamples]) -> tuple[PositionSamples, tuple[st
         ]
     )
     columns = columns[:, np.isfinite(columns).all(axis=0)]
-    order = np.argsort(columns[0], kind="stable")
-    sorted_columns = columns[:, order]
-    missing = is_missing_height(sorted_columns[0], sorted_columns[3])
+    columns = columns[:, np.argsort(columns[0], kind="stable")]
+    clock_s, _, _, height_m = columns
+    missing = is_missing_height(clock_s, height_m)
     if missing.any():
-        clock_s, height_m = sorted_columns[0], sorted_columns[3]
         height_m[missing] = np.interp(clock_s[missing], clock_s[~missing], height_m[~missing])
-    columns[:, order] = sorted_columns
-    reachable = np.ones(order.size, dtype=bool)
-    reachable[order] = flyable(*sorted_columns)
-    if where := two_places(reachable[order], *sorted_columns):
+    reachable = flyable(*columns)
+    if where := two_places(reachable, *columns):
         return no_position_samples(where), ()
     notes = {
-        f"{np.count_nonzero(~reachable)} of {order.size} positions are too far from the others for an aircraft, and are"
-        " left out": ~reachable,
-        f"{np.count_nonzero(missing)} of {order.size} heights are 0 m between others that are not: they are"
+        f"{np.count_nonzero(~reachable)} of {clock_s.size} positions are too far from the others for an aircraft, and"
+        " are left out": ~reachable,
+        f"{np.count_nonzero(missing)} of {clock_s.size} heights are 0 m between others that are not: they are"
         " interpolated": missing,
     }
     clock_s, latitude_rad, longitude_rad, height_m = columns[:, reachable]

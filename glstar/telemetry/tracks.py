@@ -83,10 +83,7 @@ def _read_track(path: str) -> GivenTrack:
     passed: Counter[str] = Counter()
     kind, parse, text = _format(path, read_bytes(path, int(limit_of("content_mib"))))
     fixes = np.array(sorted(parse(text, passed), key=lambda fix: fix[0]), dtype=np.float64).reshape(-1, 4)
-    try:
-        fixes = _valid(fixes, passed)
-    except ValueError as error:
-        raise LogFormatError(path, str(error)) from error
+    fixes = _valid(fixes, passed)
     name = Path(path).name
     why = "; ".join(f"{count} {reason}" for reason, count in passed.items())
     if not fixes.size:

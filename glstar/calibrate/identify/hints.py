@@ -197,11 +197,11 @@ def identify_by_labels(
         distance_px, nearest = KDTree(detected.xy_px).query(xy)
         xy = np.where((distance_px < _LABEL_RADIUS_PX)[:, np.newaxis], detected.xy_px[nearest], xy)
     direction = reference.stars.direction_eq[star]
-    tried = [nominal_camera(camera.width_px, camera.height_px, fov_rad) for fov_rad in _FOVS_TRIED_RAD.tolist()]
+    cameras = [camera]
+    if not focal_known:
+        cameras = [nominal_camera(camera.width_px, camera.height_px, fov_rad) for fov_rad in _FOVS_TRIED_RAD.tolist()]
     solutions = [
-        _labelled_by_attitude(xy, direction, one, mirrored=mirrored)
-        for one in ([camera] if focal_known else tried)
-        for mirrored in (False, True)
+        _labelled_by_attitude(xy, direction, one, mirrored=mirrored) for one in cameras for mirrored in (False, True)
     ]
     off_px = [np.median(np.linalg.norm(s.project(direction @ s.C_camera_eq.T) - xy, axis=1)) for s in solutions]
     matches = refine(detected, reference, solutions[int(np.nanargmin(off_px))])

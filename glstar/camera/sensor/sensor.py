@@ -76,16 +76,20 @@ class ElectronModel:
         doublings = (self.temperature_c - DARK_REFERENCE_C) / self.dark_doubling_c
         return float(self.dark_current_e_per_s * 2.0**doublings)
 
+    def sky_and_dark_e(self, duration_s: float) -> float:
+        """Return the mean number of electrons of sky and dark current, as of a pixel without a full well, e."""
+        return (self.sky_e_per_s + self.dark_e_per_s) * duration_s
+
     def background_e(self, duration_s: float) -> float:
         """Return the mean number of electrons of a pixel without a star, on the optical axis, e.
 
         It is that of sky and dark current, cut at the full well.
         """
-        return self.cut_at_full_well((self.sky_e_per_s + self.dark_e_per_s) * duration_s)[0]
+        return self.cut_at_full_well(self.sky_and_dark_e(duration_s))[0]
 
     def background_variance_e2(self, duration_s: float) -> float:
         """Return the variance of such a pixel: shot noise, cut at the full well, and read noise, e^2."""
-        _, shot_e2 = self.cut_at_full_well((self.sky_e_per_s + self.dark_e_per_s) * duration_s)
+        _, shot_e2 = self.cut_at_full_well(self.sky_and_dark_e(duration_s))
         return shot_e2 + self.read_noise_e**2
 
     def cut_at_full_well(self, mean_e: float) -> tuple[float, float]:
@@ -640,11 +644,6 @@ def noise_equivalent_area_px2(sensor: Sensor) -> float:
     return 1 / squared
 
 
-def _light_e(model: ElectronModel, duration_s: float) -> float:
-    """Return the electrons of sky and dark current of a pixel without a full well."""
-    return (model.sky_e_per_s + model.dark_e_per_s) * duration_s
-
-
 def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: float = 0.0, frames: int = 1) -> float:
     """Return the magnitude of a star that a matched filter finds with a signal-to-noise ratio of 5.
 
@@ -661,7 +660,7 @@ def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: 
     """
     model = sensor.electrons
     dn_per_e = 0.0 if model is None else model.dn_per_e
-    is_full = model is not None and _light_e(model, duration_s) + sky_dn / dn_per_e >= model.full_well_e
+    is_full = model is not None and model.sky_and_dark_e(duration_s) + sky_dn / dn_per_e >= model.full_well_e
     if is_full or sensor.background_mean_dn(duration_s) + sky_dn >= sensor.saturation_dn:
         return nan
     variance_dn2 = sensor.background_std_dn(duration_s) ** 2 + dn_per_e * sky_dn + _QUANTISATION_VARIANCE_DN2

@@ -240,7 +240,7 @@ class BagReader(source.TelemetrySource):
             usable,
             key=lambda topic: (
                 topic.is_of_device,
-                not topic.is_interface and topic.kind != IMU,
+                topic.authority == 0,
                 order.index(topic.kind),
                 not topic.is_interface,
                 -np.count_nonzero(topic.is_oriented),
@@ -424,7 +424,8 @@ class BagReader(source.TelemetrySource):
         for topic in self._of_vehicle(TIMES) if named is None else [named]:
             clock_s, utc_s = topic.utc_readings(attitude)
             if utc_s.size:
-                correction_s, scale = utc_of_scale(*_medians(utc_s, clock_s + attitude.late_s))
+                recorder_s = clock_s + attitude.late_s
+                correction_s, scale = utc_of_scale(_offset_s((recorder_s, utc_s)), float(np.median(recorder_s)))
                 usable.append((topic, (clock_s, utc_s + correction_s), scale))
         offset_s = {topic.name: _offset_s(readings) for topic, readings, _ in usable}
         return sorted(
@@ -482,12 +483,6 @@ class BagReader(source.TelemetrySource):
 def _unlike(best: Topic, others: list[Topic]) -> list[Topic]:
     """Return the attitudes of others that do not turn as one does, without those of sensors of their own."""
     return [topic for topic in others if topic is not best and not topic.is_of_device and topic.turns_otherwise(best)]
-
-
-def _medians(first_s: Float, second_s: Float) -> tuple[float, float]:
-    """Return two times that are read together, s: the median of the second one, and the first one at that."""
-    median_s = float(np.median(second_s))
-    return median_s + float(np.median(first_s - second_s)), median_s
 
 
 def _offset_s(readings: tuple[Float, Float]) -> float:

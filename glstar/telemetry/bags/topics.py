@@ -12,7 +12,7 @@ import numpy as np
 
 from glstar.arrays import Float, Mask
 from glstar.rotation import slerp
-from glstar.sky.place.timescale import TAI_MINUS_GPS_S, leap_seconds
+from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, leap_seconds
 from glstar.telemetry import source
 
 IMU = "sensor_msgs/msg/Imu"
@@ -79,7 +79,6 @@ _COMPARED_TIMES = 60
 _SAME_SCALE_S = 0.5
 # The same for seconds since 1980 that are taken as seconds since 1970, s.
 _SAME_EPOCH_S = 60.0
-_GPS_EPOCH_S = 315964800.0
 # Accelerometers of aircraft have ranges of up to 16 g; damaged numbers have any, m/s^2.
 _LARGEST_M_PER_S2 = 1e4
 # Cosine between the mean direction of the accelerometers and the axis of the world that is up.
@@ -314,8 +313,7 @@ class Topic:
     @cached_property
     def scale_of_stamps(self) -> tuple[float, str]:
         """What turns the stamps into UTC, s, and the time scale that they count; see `utc_of_scale`."""
-        received_s = float(np.median(self.column("received_s")))
-        return utc_of_scale(received_s - self.late_s, received_s)
+        return utc_of_scale(-self.late_s, float(np.median(self.column("received_s"))))
 
     def clock_s(self, other: "Topic") -> Float:
         """Return the stamps of the headers by the clock of another topic, (n,) s: by reception if they have another."""
@@ -331,16 +329,19 @@ class Topic:
         return self.kind.rpartition("/")[2]
 
 
-def utc_of_scale(utc_s: float, recorder_s: float) -> tuple[float, str]:
-    """Return what turns a time into UTC, s, and the time scale that it counts; by the clock of the recorder, s."""
+def utc_of_scale(off_s: float, recorder_s: float) -> tuple[float, str]:
+    """Return what turns a time into UTC, s, and the time scale that it counts.
+
+    `off_s`: the time minus that of the clock of the recorder, s; `recorder_s`: the latter, UTC seconds since 1970.
+    """
     if source.YEAR_2010_S <= recorder_s < source.YEAR_2100_S:
         gps_s = leap_seconds(recorder_s + TAI_MINUS_GPS_S)
         for name, ahead_s, within_s in (
             ("GPS time", gps_s, _SAME_SCALE_S),
             ("TAI", gps_s + TAI_MINUS_GPS_S, _SAME_SCALE_S),
-            ("GPS time since 1980", gps_s - _GPS_EPOCH_S, _SAME_EPOCH_S),
+            ("GPS time since 1980", gps_s - GPS_EPOCH_S, _SAME_EPOCH_S),
         ):
-            if abs(utc_s - recorder_s - ahead_s) < within_s:
+            if abs(off_s - ahead_s) < within_s:
                 return -ahead_s, name
     return 0.0, ""
 

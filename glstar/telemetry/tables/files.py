@@ -7,7 +7,6 @@ columns of a CSV file that a program exported from a log.
 import csv
 import io
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -75,7 +74,7 @@ class TableFile:
     kind: TableKind
     columns: Mapping[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
     lines: NDArray[np.int64]  # (n,) int64: line, or row, of each cell, from 1
-    repeated: frozenset[str] = frozenset()  # Names that several columns have
+    header: Sequence[str] = ()  # Names of all columns, of which several may have one
 
     def numbers(self, column: str) -> Float:
         """Return a column of (n,) numbers; NaN for cells without a value.
@@ -113,8 +112,8 @@ class TableFile:
 
     def cells(self, column: str) -> Cells:
         """Return the cells of a column; raises LogFormatError if several columns have its name."""
-        if column in self.repeated:
-            raise LogFormatError(self.name, f"has several columns named {column}; rename or remove all but one")
+        with reading(self.name, LogFormatError):
+            refuse_repeated(self.header, {column})
         return self.columns[column]
 
     def _number(self, column: str, row: int, cell: Any, point: str) -> float:
@@ -287,12 +286,7 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
     cells = _split(path, rows, separator, len(header))
     numbers = np.array([number for number, _ in rows[: len(cells)]], dtype=np.int64)
     columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
-    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers, _repeated(header))
-
-
-def _repeated(header: Sequence[str]) -> frozenset[str]:
-    """Return the names that occur more than once in a header."""
-    return frozenset(name for name, count in Counter(header).items() if name and count > 1)
+    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers, header)
 
 
 def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -> list[list[str]]:
@@ -331,7 +325,7 @@ def _read_parquet(path: str) -> TableFile:
         refuse_more("rows", rows)
         refuse_more("columns", len(names))
         lines = np.arange(1, rows + 1)
-    return TableFile(path, TableKind.PARQUET, ParquetColumns(path, table, rows), lines, _repeated(names))
+    return TableFile(path, TableKind.PARQUET, ParquetColumns(path, table, rows), lines, names)
 
 
 def _read_excel(path: str) -> TableFile:
@@ -350,7 +344,7 @@ def _read_excel(path: str) -> TableFile:
     columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * width
     numbers = np.array([number for number, _ in rows[1:]], dtype=np.int64)
     named = {name: column for name, column in zip(header, columns, strict=True) if name}
-    return TableFile(path, TableKind.EXCEL, named, numbers, _repeated(header))
+    return TableFile(path, TableKind.EXCEL, named, numbers, header)
 
 
 def csv_rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
@@ -420,8 +414,10 @@ class Dump:
         remaining = csv_rows(name, delimiter=between, quoted=False)
         header = next(remaining, (0, []))[1]
         self.header = tuple(cell.strip() for cell in header)
+        needed = dict.fromkeys(wanted or self.header)
         with reading(name, LogFormatError):
-            every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
+            refuse_repeated(self.header, needed)
+        every = {column: self._index(column) for column in needed}
         indices = {column: index for column, index in every.items() if index is not None}
         text_at = self.header.index(texts) if texts in self.header else None
         lines: list[Float] = []
@@ -451,7 +447,6 @@ class Dump:
     def _index(self, name: str) -> tuple[int, int | None] | None:
         """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
         if name in self.header:
-            refuse_repeated(self.header, {name})
             return self.header.index(name), None
         match = _LIST_ITEM.fullmatch(name)
         return (self.header.index(match[1]), int(match[2])) if match and match[1] in self.header else None

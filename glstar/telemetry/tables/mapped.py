@@ -432,7 +432,7 @@ class MappedTableReader(source.TelemetrySource):
         scale = np.rad2deg(_PLACE_RAD[wanted.place_unit])
         latitude_deg, longitude_deg = (table.numbers(name) * scale for name in names if name is not None)
         height_m = np.zeros(latitude_deg.size)
-        tenth_m = 1.0 if self._is_old_blackbox else 0.1
+        tenth_m = 1.0 if wanted.height_dm and self._is_old_blackbox else 0.1
         for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M), (wanted.height_dm, tenth_m)):
             if (name := self._name(alternatives)) is not None:
                 height_m = np.nan_to_num(table.numbers(name) * unit_m)
