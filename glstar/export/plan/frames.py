@@ -312,41 +312,55 @@ class FlightFrames:
         return self.shot(number).composed(number)
 
 
-@dataclass(frozen=True, eq=False)
-class ControlledFrames:
+@dataclass(frozen=True, slots=True, eq=False)
+class FramesOfOthers:
+    """What frames have in common with others that they are made of, for `Frames`; subclasses say what differs."""
+
+    whole: Frames
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """First frame number of each simulator; see `Frames`."""
+        return self.whole.firsts
+
+    @property
+    def saturation_dn(self) -> int:
+        """The largest digital number of the images."""
+        return self.whole.saturation_dn
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that `compose` reads again; see `Frames`."""
+        return self.whole.files
+
+    def shot(self, number: int) -> Shot:
+        """Return when and how the camera exposes a frame; see `Frames`."""
+        return self.whole.shot(number)
+
+    def compose(self, number: int) -> ComposedFrame:
+        """Return the scene of a frame; see `Frames`."""
+        return self.whole.compose(number)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlledFrames(FramesOfOthers):
     """Frames whose exposure time and gain an exposure control has set, frame after frame of each flight."""
 
-    uncontrolled: Frames
     settings: Mapping[int, tuple[float, float]]  # Exposure time, s, and gain by frame number
 
     @property
     def numbers(self) -> NDArray[np.int64]:
         """Frame numbers, (n,) int64, increasing."""
-        return self.uncontrolled.numbers
-
-    @property
-    def firsts(self) -> NDArray[np.int64]:
-        """First frame number of each simulator; see `Frames`."""
-        return self.uncontrolled.firsts
+        return self.whole.numbers
 
     @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
         """Frames that are left out because their exposure spans a gap in the log."""
-        return self.uncontrolled.skipped
-
-    @property
-    def saturation_dn(self) -> int:
-        """The largest digital number of the images."""
-        return self.uncontrolled.saturation_dn
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that `compose` reads again; see `Frames`."""
-        return self.uncontrolled.files
+        return self.whole.skipped
 
     def shot(self, number: int) -> Shot:
         """Return when and how the camera exposes a frame; see `Frames`."""
-        return self.uncontrolled.shot(number).set_to(*self.settings[number])
+        return self.whole.shot(number).set_to(*self.settings[number])
 
     def compose(self, number: int) -> ComposedFrame:
         """Return the scene of a frame; see `Frames`."""

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from glstar.errors import ExportError
 from glstar.export.directory import new_directory
 from glstar.export.frame import FrameTask
-from glstar.export.plan.frames import ComposedFrame, Frames, Shot, SkippedFrame
+from glstar.export.plan.frames import FramesOfOthers, SkippedFrame
 from glstar.export.plan.manifest import NAME, claim
 from glstar.export.run.executors import BlockExecutor, Executor, draw_frames
 from glstar.export.run.export import ALL_FRAMES, Export, ExportReport, Shard
@@ -192,30 +192,11 @@ _TRUTH = "truth.jsonl"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FrameBlock:
+class _FrameBlock(FramesOfOthers):
     """Some frames of an export."""
 
-    whole: Frames
     numbers: Numbers
     skipped: tuple[SkippedFrame, ...] = ()
-
-    @property
-    def firsts(self) -> Numbers:
-        return self.whole.firsts
-
-    @property
-    def saturation_dn(self) -> int:
-        return self.whole.saturation_dn
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        return self.whole.files
-
-    def shot(self, number: int) -> Shot:
-        return self.whole.shot(number)
-
-    def compose(self, number: int) -> ComposedFrame:
-        return self.whole.compose(number)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

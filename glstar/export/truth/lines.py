@@ -287,10 +287,10 @@ def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterat
         file /= "truth.jsonl"
     wanted = None if split is None else _listed(file.with_name(f"{split}.txt"))
     if file.name.startswith("truth.jsonl") and is_unfinished(file.parent):
-        numbered = enumerate(_unfinished(file.parent).lines(), start=1)
+        lines = _unfinished(file.parent).lines()
     else:
-        numbered = enumerate(_lines(file), start=1)
-    for number, line in numbered:
+        lines = _lines(file)
+    for number, line in enumerate(lines, start=1):
         frame = parse_frame(file, number, line)
         if wanted is None or frame["file"] in wanted:
             yield frame

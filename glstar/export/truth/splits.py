@@ -10,12 +10,12 @@ read, split by split, to be written in the format of another tool.
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil, cos, log
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -166,6 +166,14 @@ class _Flights:
         return FlightIdentity(log["name"], log["sha256"], varied)
 
 
+class _Frame(NamedTuple):
+    """What a split needs of a line of truth."""
+
+    file: str
+    flight: str  # `FlightIdentity.digest`
+    attitude: Float  # (9,) the matrix `C_camera_icrs` by rows
+
+
 @dataclass(frozen=True, slots=True)
 class WrittenSplits:
     """The splits of an export."""
@@ -183,9 +191,11 @@ def write_splits(directory: Path, rule: SplitRule) -> WrittenSplits:
     """
     flights = _Flights(_manifest(directory))
     entries: dict[str, dict[str, Any]] = {}
+    frames: list[_Frame] = []
     for line in read_truth(directory):
         flight = flights.of(line)
         entries.setdefault(flight.digest, _entry(flight))["frames"] += 1
+        frames.append(_Frame(line["file"], flight.digest, np.ravel(line["C_camera_icrs"])))
     split_of = rule.dealt({digest: entry["frames"] for digest, entry in entries.items()})
     if (fault := rule.fault(list(split_of.values()))) is not None:
         raise ConfigError(fault)
@@ -193,7 +203,9 @@ def write_splits(directory: Path, rule: SplitRule) -> WrittenSplits:
     for digest, entry in entries.items():
         entry["split"] = split_of[digest]
         counts[split_of[digest]] += entry["frames"]
-    near_train = _write_lists(directory, flights, split_of)
+    in_split = {split: [frame for frame in frames if split_of[frame.flight] == split] for split in SPLITS}
+    _write_lists(directory, in_split)
+    near_train = _near_fractions(in_split)
     index = {
         "schema": SCHEMA,
         "by": rule.name,
@@ -207,22 +219,14 @@ def write_splits(directory: Path, rule: SplitRule) -> WrittenSplits:
     return WrittenSplits(counts, near_train)
 
 
-def _write_lists(directory: Path, flights: _Flights, split_of: Mapping[str, str]) -> dict[str, float]:
-    """Write the list of each split, and return how many frames are near one of train, as `WrittenSplits`."""
-    paths = [directory / f"{split}.txt" for split in SPLITS]
+def _write_lists(directory: Path, in_split: Mapping[str, Sequence[_Frame]]) -> None:
+    """Write the list of each split."""
+    paths = [directory / f"{split}.txt" for split in in_split]
     temporary = [temporary_path(path) for path in paths]
-    attitudes: dict[str, list[Any]] = {split: [] for split in SPLITS}
     with explain_disk_errors(directory):
         try:
-            with ExitStack() as opened:
-                lists = {
-                    split: opened.enter_context(path.open("w", encoding="utf-8", newline="\n"))
-                    for split, path in zip(SPLITS, temporary, strict=True)
-                }
-                for line in read_truth(directory):
-                    split = split_of[flights.of(line).digest]
-                    lists[split].write(f"{line['file']}\n")
-                    attitudes[split].append(np.ravel(line["C_camera_icrs"]))
+            for path, frames in zip(temporary, in_split.values(), strict=True):
+                path.write_text("".join(f"{frame.file}\n" for frame in frames), encoding="utf-8", newline="\n")
             # The index is written last and removed first: it says that the lists are complete.
             with suppress(FileNotFoundError):
                 (directory / SPLIT_INDEX).unlink()
@@ -231,7 +235,13 @@ def _write_lists(directory: Path, flights: _Flights, split_of: Mapping[str, str]
         finally:
             for unnamed in temporary:
                 unnamed.unlink(missing_ok=True)
-    train, *others = (np.array(rows, dtype=np.float64).reshape(-1, 9) for rows in attitudes.values())
+
+
+def _near_fractions(in_split: Mapping[str, Sequence[_Frame]]) -> dict[str, float]:
+    """Return how many frames are near one of train, as `WrittenSplits`."""
+    train, *others = (
+        np.array([frame.attitude for frame in frames], dtype=np.float64).reshape(-1, 9) for frames in in_split.values()
+    )
     return {split: _near_fraction(rows, train) for split, rows in zip(SPLITS[1:], others, strict=True) if len(rows)}
 
 

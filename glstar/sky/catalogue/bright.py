@@ -13,7 +13,6 @@ The same table and the same version of SQLite give the same bytes.  Only this mo
 bsc5.
 """
 
-import gzip
 import hashlib
 import importlib.util
 import io
@@ -33,6 +32,7 @@ from numpy.typing import ArrayLike
 from glstar.arrays import Float
 from glstar.errors import CatalogueError, ExportError
 from glstar.sky.catalogue.names import ProperName, designation, proper_names
+from glstar.sky.catalogue.published import gunzipped
 from glstar.sky.catalogue.reading import CatalogueFile, CatalogueRow, StarCatalogue
 from glstar.sky.catalogue.writing import write_catalogue
 from glstar.system.installation import install_command
@@ -204,14 +204,12 @@ def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
     except ImportError as error:
         raise CatalogueError(table.path, f"reading this table needs astropy: {install_command('catalogue')}") from error
     try:
-        content = table.content
-        if content.startswith(b"\x1f\x8b"):
-            content = Unpacking(len(content), "content_mib").read(gzip.GzipFile(fileobj=io.BytesIO(content)))
+        content = gunzipped(table.content)
         # Warnings of astropy about the file are suppressed, because the columns are checked below.
         with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
             published = {column.name: column.unit for column in units[1].columns}
             rows = list(zip(*(units[1].data[key].tolist() for key in _BSC_COLUMNS), strict=True))
-    except (OSError, EOFError, zlib.error, IndexError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, EOFError, zlib.error, IndexError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise CatalogueError(
             table.path, f"is no table of the Bright Star Catalogue ({_brief(error)}); {_USE}"
         ) from error
@@ -320,7 +318,7 @@ def _find(package: str, member: str, source: StrPath | None, *, lacking: str) ->
             return _Table(str(path), f"{name} {version}, {inside}", table)
         except KeyError as error:
             raise CatalogueError(path, f"is an archive without {inside}; {_USE}") from error
-        except (zipfile.BadZipFile, zlib.error, OSError) as error:
+        except (zipfile.BadZipFile, zlib.error, OSError, ValueError) as error:
             raise CatalogueError(path, f"is a damaged archive ({_brief(error)}); {_USE}") from error
     spec, version = importlib.util.find_spec(package), "of no known version"
     for folder in (spec.submodule_search_locations or ()) if spec else ():

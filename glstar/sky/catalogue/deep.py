@@ -11,7 +11,6 @@ table      CSV or FITS, by a map of columns
 """
 
 import csv
-import gzip
 import hashlib
 import importlib.util
 import io
@@ -27,10 +26,10 @@ from numpy.typing import NDArray
 from glstar.arrays import Float
 from glstar.errors import CatalogueError, reading, reason_of
 from glstar.sky.catalogue import writing
-from glstar.sky.catalogue.published import gaia_content, read_gaia_bin, read_hip_main, read_tycho2
+from glstar.sky.catalogue.published import gaia_content, gunzipped, read_gaia_bin, read_hip_main, read_tycho2
 from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
 from glstar.system.installation import install_command
-from glstar.system.userinput import Unpacking, read_whole, refuse_more
+from glstar.system.userinput import read_whole, refuse_more
 
 _MAS_RAD = np.pi / 648000 / 1000
 _LARGEST_NUMBER = 2**31 - 1
@@ -245,9 +244,7 @@ def _named(by_name: Mapping[str, Any]) -> str:
 def _read(path: Path) -> dict[str, Any]:
     """Return the columns of a table."""
     with reading(path, CatalogueError, "is no CSV or FITS table that glstar can read"):
-        content = read_whole(path)
-        if content[:2] == b"\x1f\x8b":
-            content = Unpacking(len(content), "content_mib").read(gzip.GzipFile(fileobj=io.BytesIO(content)))
+        content = gunzipped(read_whole(path))
         if content[:4] == b"PAR1":
             raise CatalogueError(path, "is an Apache Parquet table; write it as CSV or FITS")
         return _fits(path, content) if content[:6] == b"SIMPLE" else _csv(content)

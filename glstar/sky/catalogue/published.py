@@ -1,6 +1,7 @@
 """Reading of star catalogues as their authors publish them: Hipparcos' main table, Tycho-2, a package of Gaia's."""
 
 import gzip
+import io
 import zipfile
 import zlib
 from array import array
@@ -15,7 +16,7 @@ from glstar.errors import CatalogueError, reading
 from glstar.sky.catalogue.names import proper_names
 from glstar.sky.catalogue.reading import StarCatalogue, tycho_number
 from glstar.sky.catalogue.writing import CatalogueColumns, bv_from_tycho, space_motion_to_j2000, vmag_from_tycho
-from glstar.system.userinput import Unpacking, read_whole
+from glstar.system.userinput import Unpacking, lines_of, read_whole
 
 _MAS_RAD = np.pi / 648000 / 1000
 _HIPPARCOS_EPOCH_YR = 1991.25
@@ -40,6 +41,13 @@ _SAME_PLACE_RAD = 15 * np.pi / 648000
 _LONGEST_LINE = 1 << 16
 
 
+def gunzipped(content: bytes) -> bytes:
+    """Return what a content is packed from with gzip, itself if it is not packed; raises ValueError as `Unpacking`."""
+    if not content.startswith(b"\x1f\x8b"):
+        return content
+    return Unpacking(len(content), "content_mib").read(gzip.GzipFile(fileobj=io.BytesIO(content)))
+
+
 def table_lines(path: Path) -> Iterator[bytes]:
     """Yield the lines, without their ends, of a text file, which may be compressed with gzip.
 
@@ -49,16 +57,14 @@ def table_lines(path: Path) -> Iterator[bytes]:
         with path.open("rb") as plain:
             packed = plain.read(2) == b"\x1f\x8b"
         with gzip.open(path) if packed else path.open("rb") as file:
-            number = 0
-            while line := file.readline(_LONGEST_LINE + 1):
-                number += 1
-                if len(line) > _LONGEST_LINE:
-                    raise CatalogueError(path, f"is no catalogue: line {number} is longer than {_LONGEST_LINE} bytes")
+            for line in lines_of(file, _LONGEST_LINE):
                 yield line.rstrip(b"\r\n")
     except FileNotFoundError as error:
         raise CatalogueError(path, "does not exist; name the catalogue's files with --from") from error
     except (OSError, EOFError, zlib.error) as error:
         raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except ValueError as error:
+        raise CatalogueError(path, f"is no catalogue: {error}") from error
 
 
 def read_hip_main(path: Path) -> CatalogueColumns:
