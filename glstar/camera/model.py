@@ -113,14 +113,7 @@ class Camera:
         """Upper bound of the image scale anywhere on the image, px/rad."""
         if self.lens is None:
             return float(max(self.fx_px, self.fy_px) / np.cos(self.field_radius_rad) ** 2)
-        return _lens_scales_px_per_rad(self)[1]
-
-    @property
-    def min_px_per_rad(self) -> float:
-        """Lower bound of the image scale anywhere on the image, px/rad; almost 0 where a lens ends on the image."""
-        if self.lens is None:
-            return min(self.fx_px, self.fy_px)
-        return _lens_scales_px_per_rad(self)[0]
+        return _lens_max_px_per_rad(self)
 
     def project(self, direction_camera: ArrayLike) -> Float:
         """Return the pixel positions of directions.
@@ -313,13 +306,12 @@ def _lens_field_radius_rad(camera: Camera) -> float:
 
 
 @lru_cache(maxsize=64)
-def _lens_scales_px_per_rad(camera: Camera) -> tuple[float, float]:
-    """Return the smallest and the largest image scale behind a lens, over the image and in all directions, px/rad."""
-    scales = np.linalg.svd(camera.px_per_rad(_directions(camera)), compute_uv=False)
-    return float(scales.min()), float(scales.max())
+def _lens_max_px_per_rad(camera: Camera) -> float:
+    """Return `Camera.max_px_per_rad` behind a lens: in all directions."""
+    return float(np.linalg.svd(camera.px_per_rad(directions_seen(camera)), compute_uv=False).max())
 
 
-def _directions(camera: Camera) -> Float:
+def directions_seen(camera: Camera) -> Float:
     """Return the directions of a grid over the image, (n, 3) unit vectors, where it has one."""
     columns = np.linspace(-0.5, camera.width_px - 0.5, _SAMPLES_PER_SIDE)
     rows = np.linspace(-0.5, camera.height_px - 0.5, _SAMPLES_PER_SIDE)

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
-from glstar.camera.model import Mount
+from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor.sensor import Sensor
+from glstar.render.effects.cloud import frame_transmission
 from glstar.render.effects.lensflare import flare_dn
 from glstar.render.effects.naturalsky import NATURAL_SKY
 from glstar.render.effects.sky import FINE_GRID, node_positions, softened
@@ -19,7 +21,11 @@ FLARE = {"flare.scatter": 0.01, "flare.ghost_fraction": 1e-3, "flare.lamp_mag": 
 TOWN = {"sky.brightness": "natural", "sky.town_mag_arcsec2": 17.0}
 
 
-def scene_of(width_px, effects, *, bit_depth, pitch_deg):
+def fisheye(limit_rad):
+    return Camera(320, 96, 130.0, 130.0, 159.5, 47.5, 0.0, Lens("fisheye", (), limit_rad))
+
+
+def scene_of(width_px, effects, *, bit_depth, pitch_deg, lens=None):
     """Return a scene without stars, planets and noise."""
     sensor = Sensor(
         bit_depth=bit_depth,
@@ -28,7 +34,7 @@ def scene_of(width_px, effects, *, bit_depth, pitch_deg):
         sky_std_dn=0.0,
         effects=TOWN | effects,
     )
-    lens, mount = camera(width_px, 96, 0.9 * width_px), Mount(pitch_rad=np.deg2rad(pitch_deg))
+    lens, mount = lens or camera(width_px, 96, 0.9 * width_px), Mount(pitch_rad=np.deg2rad(pitch_deg))
     scene = sky_over_adelaide(lens, sensor=sensor, mount=mount).scene(Exposure(NIGHT_UTC_S + 2.0, 0.5))
     return replace(scene.with_visible(slice(0)), bodies=None)
 
@@ -76,3 +82,29 @@ def test_softened_edges_keep_their_light() -> None:
     edge[4, 4] = 16.0
     assert softened(edge)[3:6, 3:6].tolist() == [[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]
     assert softened(np.full((3, 4), 2.5)).tolist() == np.full((3, 4), 2.5).tolist()
+
+
+# Without ghosts: those of a lamp beyond the circle are missing.
+SCATTER = FLARE | {"flare.ghost_fraction": 0.0}
+
+
+@pytest.mark.parametrize("effects", [{}, CLOUD, SCATTER, CLOUD | SCATTER], ids=["sky", "cloud", "flare", "both"])
+@pytest.mark.parametrize("pitch_deg", [60.0, 0.0])
+def test_the_sky_is_dark_beyond_the_image_circle_and_the_same_inside_it(
+    renderer: GLRenderer, pitch_deg: float, effects: dict[str, float]
+) -> None:
+    whole = scene_of(320, effects, bit_depth=16, pitch_deg=pitch_deg, lens=fisheye(np.pi))
+    cut_off = scene_of(320, effects, bit_depth=16, pitch_deg=pitch_deg, lens=fisheye(np.deg2rad(40.0)))
+    expected, image = (renderer.render(scene, seed=0).pixels.astype(float) for scene in (whole, cut_off))
+
+    x, y = np.meshgrid(np.arange(320.0), np.arange(96.0))
+    radius_px = np.hypot(x - 159.5, y - 47.5)
+    # Nodes are 3.3 px from each other and may be softened, and 8 px are drawn from two values.
+    edge_px, soft_px = 130.0 * np.deg2rad(40.0), 16.0
+    beyond, inside = radius_px > edge_px + soft_px, radius_px < edge_px - soft_px
+    assert image[beyond].max() == 0
+    assert expected[beyond].min() > 20
+    np.testing.assert_allclose(image[inside], expected[inside], rtol=0, atol=1.0)
+    shown = frame_transmission(cut_off)
+    assert shown is not None
+    assert (shown < 1) == ("cloud.coverage" in effects)

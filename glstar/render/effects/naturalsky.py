@@ -128,7 +128,7 @@ def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
 
 @lru_cache(maxsize=8)
 def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
-    """Return the solid angles of pixels at the texture's nodes, (rows, columns)."""
+    """Return the solid angles of pixels at the texture's nodes, (rows, columns); 0 where the lens shows nothing."""
     centres = skylight.node_positions(camera, grid)
 
     def unit(offset: tuple[float, float]) -> Float:
@@ -136,7 +136,7 @@ def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
 
     along_x = unit((0.5, 0.0)) - unit((-0.5, 0.0))
     along_y = unit((0.0, 0.5)) - unit((0.0, -0.5))
-    return np.asarray(np.linalg.norm(np.cross(along_x, along_y), axis=-1) * _ARCSEC2_PER_SR)
+    return np.asarray(np.nan_to_num(np.linalg.norm(np.cross(along_x, along_y), axis=-1)) * _ARCSEC2_PER_SR)
 
 
 def _grid(scene: Scene) -> tuple[int, int]:

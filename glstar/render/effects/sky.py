@@ -174,8 +174,19 @@ def node_positions(camera: Camera, grid: tuple[int, int]) -> Float:
 
 @lru_cache(maxsize=8)
 def node_rays(camera: Camera, grid: tuple[int, int]) -> Float:
-    """Return the directions of columns and rows of nodes, (rows, columns, 3) unit vectors in the camera frame."""
-    return camera.unit_vectors(node_positions(camera, grid))
+    """Return the directions of columns and rows of nodes, (rows, columns, 3) unit vectors in the camera frame.
+
+    Nodes beyond the limit of a lens, where a pixel sees nothing, have directions along it.
+    """
+    positions = node_positions(camera, grid)
+    rays = camera.unit_vectors(positions)
+    beyond = np.isnan(rays[..., 0])
+    if beyond.any():
+        x, y = camera.normalized(positions[beyond]).T
+        around_rad, limit_rad = np.arctan2(y, x), np.full_like(x, camera.limit_rad)
+        across = np.sin(limit_rad) * [np.cos(around_rad), np.sin(around_rad)]
+        rays[beyond] = np.column_stack([*across, np.cos(limit_rad)])
+    return rays
 
 
 def with_halfway_nodes(nodes: Float) -> Float:

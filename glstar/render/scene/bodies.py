@@ -29,8 +29,9 @@ _MOST_CELLS = 800
 _NODES, _WEIGHTS = leggauss(8)
 # The largest phase angle, rad: no body is lit from exactly behind.
 _MOST_PHASE_RAD = np.pi - 1e-4
-# Number of angles from the optical axis at which the scale of the image is taken where a body crosses it; step, rad.
-_SCALE_ANGLES, _SCALE_STEP_RAD = 9, 1e-4
+# Number of angles from the optical axis at which the scale of the image is taken where a body crosses it, and how far
+# within the edge of the field, rad: along the limit of a lens there is none.
+_SCALE_ANGLES, _WITHIN_RAD = 9, 1e-6
 # Limb darkening of the Sun at V: 1 - u (1 - cos).
 _SUN_DARKENING = 0.6
 
@@ -79,18 +80,15 @@ def star_sigma_rad(camera: Camera, sigma_px: float, off_axis_rad: Float) -> Floa
 
     `off_axis_rad` (m, n): their angles from the optical axis at m times.
     """
-    nearest, farthest = (
-        np.minimum(end, camera.field_radius_rad) for end in (off_axis_rad.min(axis=0), off_axis_rad.max(axis=0))
-    )
+    edge_rad = camera.field_radius_rad - _WITHIN_RAD
+    nearest, farthest = (np.minimum(end, edge_rad) for end in (off_axis_rad.min(axis=0), off_axis_rad.max(axis=0)))
     angle = nearest + (farthest - nearest) * np.linspace(0, 1, _SCALE_ANGLES)[:, np.newaxis]
     px_per_rad = np.full(angle.shape, max(camera.fx_px, camera.fy_px))
+    sine, cosine = np.sin(angle), np.cos(angle)
     for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        sine, cosine = np.sin(angle), np.cos(angle)
         at = np.stack([x * sine, y * sine, cosine], axis=-1)
-        outwards = np.stack([x * cosine, y * cosine, -sine], axis=-1)
-        for step in (_SCALE_STEP_RAD * outwards, _SCALE_STEP_RAD * np.array([-y, x, 0])):
-            across_px = np.linalg.norm(camera.project(at + step) - camera.project(at - step), axis=-1)
-            px_per_rad = np.fmax(px_per_rad, across_px / (2 * _SCALE_STEP_RAD))
+        scales = np.linalg.norm(camera.px_per_rad(at), axis=-2)  # outwards and around
+        px_per_rad = np.fmax(px_per_rad, scales.max(axis=-1))
     widest: Float = px_per_rad.max(axis=0)
     return sigma_px / widest
 

@@ -65,9 +65,9 @@ class ExposureMotion:
         tolerance_px = self.exposure.path_tolerance_px
         if tolerance_px == 0:
             return self._exact_segments
-        if self._few_segments is not None:
-            return self._few_segments
-        fitted = self._fitted if tolerance_px == TRUTH_TOLERANCE_PX else self._fitted_segments(tolerance_px)
+        if tolerance_px == TRUTH_TOLERANCE_PX or self._few_segments is not None:
+            return self.true_segments
+        fitted = self._fitted_segments(tolerance_px)
         return self._exact_segments if fitted is None else fitted
 
     @cached_property

@@ -90,7 +90,7 @@ class CloudSheet:
 
         `sine_altitude` (...): sines of apparent altitudes; `east`, `north` (...): sine and cosine of the azimuth;
         `site`: latitude and longitude, rad, and height, m, of observers, either all below the sheet or all above it;
-        `utc_s` (...): UTC seconds since 1970.
+        `utc_s` (...): UTC seconds since 1970.  A line without a direction, NaN, crosses nothing.
         """
         latitude_rad, longitude_rad, height_m = (np.asarray(number, dtype=np.float64) for number in site)
         radius_m, above_m = _EARTH_RADIUS_M + height_m, self.height_m - height_m
@@ -108,10 +108,11 @@ class CloudSheet:
             path_m = np.where(crosses, above_m * (2 * radius_m + above_m) / np.minimum(along - root, -1e-9), 0.0)
         cosine = np.sqrt(np.maximum(1 - sine_altitude * sine_altitude, 0.0))
         arc_m = _EARTH_RADIUS_M * np.arctan2(path_m * cosine, radius_m + path_m * sine_altitude)
-        slant = sheet_radius_m / np.maximum(np.abs(along + path_m), 1e-9)
+        slant = sheet_radius_m / np.fmax(np.abs(along + path_m), 1e-9)
         origin_east_m = _EARTH_RADIUS_M * np.cos(self.latitude_rad) * _wrapped(longitude_rad - self.longitude_rad)
         origin_north_m = _EARTH_RADIUS_M * (latitude_rad - self.latitude_rad)
-        depth = self.depth_at(origin_east_m + arc_m * east, origin_north_m + arc_m * north, utc_s)
+        east_m, north_m = np.nan_to_num(arc_m * east), np.nan_to_num(arc_m * north)
+        depth = self.depth_at(origin_east_m + east_m, origin_north_m + north_m, utc_s)
         return SheetCrossing(np.where(crosses, depth, 0.0), slant)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.camera.model import Camera
+from glstar.camera.model import Camera, directions_seen
 from glstar.sky.catalogue.names import constellations
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.apparent import ASTROMETRY, direction
@@ -29,8 +29,7 @@ TOLERANCE_PX = 0.2
 _MAX_STEP_RAD = np.deg2rad(5.0)
 _MIN_STEP_RAD = np.deg2rad(0.2)
 
-# Points of the image, along each side, and step along great circles, at which a lens's bend of them is evaluated.
-_SAMPLES_PER_SIDE = 65
+# Step along great circles by which a lens's bend of them is evaluated.
 _BEND_STEP_RAD = 1e-3
 
 # Upper bound of the curvature that refraction gives to a straight line, 1/rad: the second derivative of eq. (25) is
@@ -146,9 +145,7 @@ def _bend_px_per_rad2(camera: Camera) -> float:
     """
     if camera.lens is None:
         return 0.0
-    columns, rows = (np.linspace(-0.5, side - 0.5, _SAMPLES_PER_SIDE) for side in (camera.width_px, camera.height_px))
-    seen = camera.unit_vectors(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
-    seen = seen[np.isfinite(seen).all(axis=1)]
+    seen = directions_seen(camera)
     right = np.cross(seen, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     down = np.cross(seen, right)

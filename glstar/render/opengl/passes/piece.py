@@ -144,7 +144,7 @@ class PiecePass:
             mosaic=tints is not None,
             rolling=part.drawn is not None,
         )
-        self._set_uniforms(program, scene, target)
+        _set_uniforms(program, scene, target)
         texels = _piece_texels(part.pieces)
         chosen = _texels_of_stars(part)
         target.light.use()
@@ -164,19 +164,6 @@ class PiecePass:
                 # Star by star: software OpenGL then finds the sprites of a tile near each other in memory.
                 self._sprites.draw(vertices, np.argwhere(near.T).astype(np.uint16))
         self._context.enable_only(moderngl.NOTHING)
-
-    def _set_uniforms(self, program: moderngl.Program, scene: Scene, target: StarTarget) -> None:
-        sensor, pointing = scene.sensor, scene.trails.pointing
-        set_uniforms(
-            program,
-            refraction_scale=pointing.refraction_scale,
-            sine_horizon=pointing.sine_horizon,
-            target_px=target.light.size,
-            sigma_px=drawn_sigma_px(sensor),
-            effective_sigma_px=sensor.effective_sigma_px,
-            vmag_0_peak_dn=still_peak_dn(sensor, scene.exposure.duration_s, target.clock.span),
-        )
-        target.lens.bind(program, scene.camera, target.guard_band_px)
 
     def _program(
         self, lens: int, *, narrow: bool, mosaic: bool, rolling: bool
@@ -285,13 +272,13 @@ class EndPass:
 
 
 def _set_uniforms(program: moderngl.Program, scene: Scene, target: StarTarget) -> None:
-    sensor = scene.sensor
-    sigma_px = drawn_sigma_px(sensor)
+    sensor, pointing = scene.sensor, scene.trails.pointing
     uniforms: dict[str, Any] = {
-        "refraction_scale": scene.trails.pointing.refraction_scale,
+        "refraction_scale": pointing.refraction_scale,
+        "sine_horizon": pointing.sine_horizon,
         "target_px": target.light.size,
         "falloff_per_px2": falloff_per_px2(sensor),
-        "sigma_px": sigma_px,
+        "sigma_px": drawn_sigma_px(sensor),
         "effective_sigma_px": sensor.effective_sigma_px,
         "vmag_0_peak_dn": still_peak_dn(sensor, scene.exposure.duration_s, target.clock.span),
     }
