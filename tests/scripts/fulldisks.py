@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 from tests.scripts.kills import KINDS, run_to_the_end, write_inputs
+from tests.scripts.powerloss import differing
 
 # Runs a command on a disk of $SIZE bytes, and again once the disk has grown; copies the files of both.
 ON_A_SMALL_DISK = """
@@ -49,8 +50,8 @@ def tried(command: list[str], kind: str, size_bytes: int, folder: Path, expected
     at = f"{kind}, {size_bytes} bytes"
     if first != "1" or len(lines) != 1 or "the disk is full" not in lines[0]:
         return f"{at}: status {first}: {child.stderr}"
-    differing = [name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name)]
-    return f"{at}: status {second}, differ: {', '.join(sorted(differing))}" if differing or second != "0" else ""
+    names = differing(expected, found)
+    return f"{at}: status {second}, differ: {', '.join(names)}" if names or second != "0" else ""
 
 
 def search(folder: Path, kind: str, disks: int, seed: int) -> list[str]:

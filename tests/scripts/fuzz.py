@@ -556,11 +556,11 @@ class Pool:
     def run(self, tasks: Iterator[tuple[int, int]]) -> Iterator[Trial]:
         """Yield what comes of pairs of a kind's index and a mutant's number."""
         for task in tasks:
-            if len(self._workers) >= self._count and all(given for _, given, _ in self._workers.values()):
-                yield from self._results(1)
+            while len(self._workers) >= self._count and all(given for _, given, _ in self._workers.values()):
+                yield from self._results()
             self._give(task)
         while any(task for _, task, _ in self._workers.values()):
-            yield from self._results(1)
+            yield from self._results()
 
     def _give(self, task: tuple[int, int]) -> None:
         free = next((at for at, (_, given, _) in self._workers.items() if not given), None)
@@ -574,27 +574,23 @@ class Pool:
         free.send(task)
         self._workers[free] = process, task, time.monotonic()
 
-    def _results(self, least: int) -> Iterator[Trial]:
-        """Yield the next results; wait for some."""
-        count = 0
-        while count < least and any(task for _, task, _ in self._workers.values()):
-            busy = [at for at, (_, task, _) in self._workers.items() if task]
-            ready = wait(busy, timeout=1.0)
-            for connection in busy:
-                process, task, since_s = self._workers[connection]
-                if connection in ready:
-                    count += 1
-                    try:
-                        trial = connection.recv()
-                    except (EOFError, ConnectionError):
-                        yield self._lost(connection, f"the process died with {process.exitcode}")
-                    else:
-                        self._workers[connection] = process, (), since_s
-                        yield trial
-                elif time.monotonic() - since_s > HANGING_S + 60 * (task[1] == 0):
-                    count += 1
-                    process.kill()
-                    yield self._lost(connection, f"more than {HANGING_S} s of wall time")
+    def _results(self) -> Iterator[Trial]:
+        """Yield the results of the next second, if there are any."""
+        busy = [at for at, (_, task, _) in self._workers.items() if task]
+        ready = wait(busy, timeout=1.0)
+        for connection in busy:
+            process, task, since_s = self._workers[connection]
+            if connection in ready:
+                try:
+                    trial = connection.recv()
+                except (EOFError, ConnectionError):
+                    yield self._lost(connection, f"the process died with {process.exitcode}")
+                else:
+                    self._workers[connection] = process, (), since_s
+                    yield trial
+            elif time.monotonic() - since_s > HANGING_S + 60 * (task[1] == 0):
+                process.kill()
+                yield self._lost(connection, f"more than {HANGING_S} s of wall time")
 
     def _lost(self, connection: Connection, failure: str) -> Trial:
         _, (index, number), _ = self._workers.pop(connection)

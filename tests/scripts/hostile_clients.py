@@ -119,12 +119,22 @@ Attack = Callable[[int, random.Random], socket.socket]
 
 # A greeting of ZMTP 3.0 with the mechanism NULL, and the frames of READY and of a subscription to everything.
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
-READY = {kind: b"\x04\x19\x05READY\x0bSocket-Type\0\0\0" + bytes([len(kind)]) + kind for kind in (b"SUB", b"PUSH")}
-READY = {kind: frame[:1] + bytes([len(frame) - 2]) + frame[2:] for kind, frame in READY.items()}
+_PROPERTIES = {kind: b"\x05READY\x0bSocket-Type\0\0\0" + bytes([len(kind)]) + kind for kind in (b"SUB", b"PUSH")}
+READY = {kind: b"\x04" + bytes([len(body)]) + body for kind, body in _PROPERTIES.items()}
 
 
-def opened(port: int, sent: bytes = b"") -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", port), 5)
+def connected(port: int, buffer_bytes: int | None) -> socket.socket:
+    """Connect, with a buffer of this size for what is received."""
+    connection = socket.socket()
+    if buffer_bytes is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+    connection.settimeout(5)
+    connection.connect(("127.0.0.1", port))
+    return connection
+
+
+def opened(port: int, sent: bytes = b"", buffer_bytes: int | None = None) -> socket.socket:
+    connection = connected(port, buffer_bytes)
     with suppress(OSError):  # the other end may refuse at once
         connection.settimeout(0.2)
         connection.sendall(sent)
@@ -133,11 +143,7 @@ def opened(port: int, sent: bytes = b"") -> socket.socket:
 
 def introduced(port: int, kind: bytes, buffer_bytes: int | None = None, patience_s: float = 0.1) -> socket.socket:
     """Connect as a socket of ZeroMQ; return a connection that may be closed already, because there are too many."""
-    connection = socket.socket()
-    if buffer_bytes is not None:
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
-    connection.settimeout(5)
-    connection.connect(("127.0.0.1", port))
+    connection = connected(port, buffer_bytes)
     connection.settimeout(patience_s)  # one that is not admitted gets no answer
     with suppress(OSError):
         connection.sendall(GREETING + READY[kind])
@@ -157,13 +163,7 @@ def speaks(port: int, kind: bytes, *sent: bytes, buffer_bytes: int | None = None
 
 
 def reads_nothing(port: int, _: random.Random) -> socket.socket:
-    connection = socket.socket()
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    connection.settimeout(5)
-    connection.connect(("127.0.0.1", port))
-    with suppress(OSError):
-        connection.sendall(request(port))
-    return connection
+    return opened(port, request(port), buffer_bytes=4096)
 
 
 def subscribes_and_reads_nothing(port: int, _: random.Random) -> socket.socket:

@@ -16,7 +16,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from tests.scripts.powerloss import FIRST_UTC_S, SETTINGS
+from tests.scripts.powerloss import FIRST_UTC_S, SETTINGS, differing
 
 FRAMES = 80
 KINDS: dict[str, tuple[str, ...]] = {
@@ -100,9 +100,8 @@ def search(folder: Path, kind: str, rounds: int, seed: int) -> tuple[int, list[s
         kills += len(ends)
         wrong += [end for end in ends if end]
         found = run_to_the_end(command, directory, kind)
-        differing = [name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name)]
-        if differing:
-            wrong.append(f"{kind}, round {number}: {', '.join(sorted(differing))}")
+        if names := differing(expected, found):
+            wrong.append(f"{kind}, round {number}: {', '.join(names)}")
     return kills, wrong
 
 

@@ -458,10 +458,14 @@ class Laboratory:
                         continue  # --force has to be given again
                     return f"refused: {error}"
                 found = {path.name: path.read_bytes() for path in directory.iterdir()}
-            wrong = [name for name in expected.keys() | found.keys() if found.get(name) != expected.get(name)]
-            if wrong:
-                return f"other than an uninterrupted export: {', '.join(sorted(wrong))}"
+            if wrong := differing(expected, found):
+                return f"other than an uninterrupted export: {', '.join(wrong)}"
         return ""
+
+
+def differing(expected: dict[str, bytes], found: dict[str, bytes]) -> list[str]:
+    """Return the names of files that differ between two directories, or that only one of them has."""
+    return sorted(name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name))
 
 
 def not_durable(

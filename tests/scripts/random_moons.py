@@ -13,7 +13,6 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
@@ -23,6 +22,7 @@ from glstar.render.opengl import GLRenderer
 from glstar.render.scene.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.observed.solarsystem import Body
+from tests.support.reference import integrated_profile
 from tests.support.rollingshutter import open_fractions, recorded_span_s
 from tests.support.scenes import NIGHT_UTC_S, sky_over_adelaide, star_field
 
@@ -161,11 +161,16 @@ def brute_force(trial: Trial) -> Float:
         origin_px = np.floor(xy_px.min(axis=0) / step_px) * step_px
         grid = _on_a_grid((xy_px - origin_px) / step_px, light)
         (width, height), (x_px, y_px) = grid.shape[::-1], origin_px
-        across = _pixel_integral(np.arange(WIDTH_PX) - (x_px + step_px * np.arange(width))[:, np.newaxis], narrower_px)
-        down = _pixel_integral(np.arange(HEIGHT_PX) - (y_px + step_px * np.arange(height))[:, np.newaxis], narrower_px)
+        across = integrated_profile(
+            np.arange(WIDTH_PX) - (x_px + step_px * np.arange(width))[:, np.newaxis], narrower_px
+        )
+        down = integrated_profile(
+            np.arange(HEIGHT_PX) - (y_px + step_px * np.arange(height))[:, np.newaxis], narrower_px
+        )
         recorded = down.T @ grid @ across
         image += recorded * (fraction[:, np.newaxis] if vertical else fraction)
-    return FLUX_DN * span_s / exposure.duration_s / samples * image
+    peak_dn = FLUX_DN / (2 * np.pi * narrower_px**2)
+    return peak_dn * span_s / exposure.duration_s / samples * image
 
 
 def _on_a_grid(xy: Float, light: Float) -> Float:
@@ -178,12 +183,6 @@ def _on_a_grid(xy: Float, light: Float) -> Float:
         share = np.abs(1 - right - beyond[:, 0]) * np.abs(1 - below - beyond[:, 1])
         grid += np.bincount((corner[:, 1] + below) * width + corner[:, 0] + right, share * light, grid.size)
     return grid.reshape(height, width)
-
-
-def _pixel_integral(offset_px: Float, sigma_px: float) -> Float:
-    """Return the fraction of a Gaussian in pixels."""
-    edge = sigma_px * np.sqrt(2)
-    return np.asarray(erf((offset_px + 0.5) / edge) - erf((offset_px - 0.5) / edge)) / 2
 
 
 def differences(renderer: GLRenderer, trial: Trial) -> tuple[float, float]:

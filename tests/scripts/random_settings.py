@@ -6,9 +6,9 @@ Each trial picks a camera and some settings of most sections, or the defaults, a
 - an exception that is no `GlstarError`, or a warning;
 - another image, mask or line of truth when the frame is drawn again;
 - truth that is not finite, a peak brighter than the flux, a star that is listed twice;
-- light that differs between trails, analytic in one half of the trials and the default model in the other, and dense
-  sub-exposures by more than `FRACTION` of the brightest pixel,
-  or with scintillation, which is constant along parts of a trail, `SCINTILLATING_FRACTION`.
+- light that differs between trails, drawn as configured in one half of the trials and with exact paths in the other,
+  and dense sub-exposures by more than `FRACTION` of the brightest pixel, or with scintillation, which is constant
+  along parts of a trail, `SCINTILLATING_FRACTION`.
 
 The same seed makes the same trials.  Combinations that a config refuses are counted, by their message.
 """

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from scipy.special import erf
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
@@ -49,6 +48,7 @@ from glstar.rotation import (
 )
 from glstar.sky.air.refraction import refraction_displacement
 from glstar.system.resources import asset
+from tests.support.reference import integrated_profile
 from tests.support.rollingshutter import rolling_light
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
@@ -280,7 +280,7 @@ def brute_force(trial: Trial, border_px: int = 0) -> Float:
     margin_px = 9 * sigma_px + 1 + border_px
     xy_px = xy_px[((xy_px > -margin_px) & (xy_px < size + margin_px)).all(axis=1)]
     columns, rows = (
-        _pixel_integral(np.arange(-border_px, count + border_px) - xy_px[:, axis : axis + 1], sigma_px)
+        integrated_profile(np.arange(-border_px, count + border_px) - xy_px[:, axis : axis + 1], sigma_px)
         for axis, count in enumerate(size)
     )
     peak_dn = float(simulator.sensor.peak_dn(0.0, exposure.duration_s))
@@ -316,12 +316,6 @@ def _up_between(simulator: Simulator, exposure: Exposure) -> tuple[float, float]
     if starts_up:
         return exposure.start_utc_s, crosses_s
     return crosses_s, exposure.start_utc_s + exposure.duration_s
-
-
-def _pixel_integral(offset_px: Float, sigma_px: float) -> Float:
-    """Return a Gaussian of peak 1 integrated over pixels."""
-    edge = sigma_px * np.sqrt(2)
-    return np.asarray(sigma_px * np.sqrt(np.pi / 2) * (erf((offset_px + 0.5) / edge) - erf((offset_px - 0.5) / edge)))
 
 
 class Worst(NamedTuple):

@@ -208,17 +208,9 @@ def cameras() -> list[Kind]:
     for writer in writers:
         case = writer(rng, camerafiles._camera_of(rng, ("plumb_bob",)), {})
         name = f"camera of {writer.__name__}{case.suffix}"
-        read = partial(_camera, case.name)
+        read = reading(partial(read_camera_file, name=case.name))
         found[name] = Kind("cameras", name, {f"camera{case.suffix}": case.content}, lines, read, text=True)
     return list(found.values())
-
-
-def _camera(name: str | None, path: Path, _chance: random.Random) -> str:
-    try:
-        read_camera_file(path, name)
-    except GlstarError as error:
-        return refusal(error, path)
-    return READ
 
 
 def _sensors(path: Path) -> None:
@@ -325,9 +317,8 @@ def _command(words: tuple[str, ...], path: Path, _chance: random.Random) -> str:
     """Run a command on the directory of a file; its words OUT and SET are replaced."""
     folder = path.parent
     output = folder / "out"
-    named = {"SET": folder, "OUT": output, "OUT.json": output / "out.json", "OUT.mcap": output / "out.mcap"}
+    named = {"SET": folder, "OUT": output / "new", "OUT.json": output / "out.json", "OUT.mcap": output / "out.mcap"}
     output.mkdir(exist_ok=True)
-    named["OUT"] = output / "new"
     try:
         result = exports.invoke(*(named.get(word, folder / word[1:] if word[:1] == "@" else word) for word in words))
     finally:
@@ -338,10 +329,6 @@ def _command(words: tuple[str, ...], path: Path, _chance: random.Random) -> str:
     message = result.err.strip().splitlines()[-1]
     assert message.startswith("glstar: "), message
     return message.split(": ", 2)[-1][:40]
-
-
-def _times(path: Path) -> None:
-    read_truth(path)
 
 
 def data_sets() -> list[Kind]:
@@ -381,7 +368,7 @@ def data_sets() -> list[Kind]:
     ]
     manifest = {"manifest.json": files.pop("manifest.json"), "truth.jsonl": truth, **files, "answers.jsonl": jsonl}
     found.append(Kind("data sets", "manifest", manifest, lines, partial(_command, commands["score"]), text=True))
-    found.append(Kind("data sets", "times of frames", {"truth.jsonl": truth}, lines, reading(_times), text=True))
+    found.append(Kind("data sets", "times of frames", {"truth.jsonl": truth}, lines, reading(read_truth), text=True))
     found.append(Kind("answers", "answers as JSON", {"answers.jsonl": jsonl}, lines, reading(read_answers), text=True))
     found.append(Kind("answers", "answers as CSV", {"answers.csv": plain}, lines, reading(read_answers), text=True))
     return found

@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import erf
 
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.trailmodels import AnalyticSegments
@@ -99,10 +100,8 @@ def profile(offset_px: ArrayLike, sensor: Sensor) -> Float:
     return peak * np.exp(-0.5 * (offset / sensor.effective_sigma_px) ** 2)
 
 
-_erf = np.vectorize(math.erf, otypes=[np.float64])
-
-
 def integrated_profile(offset_px: ArrayLike, sigma_px: float) -> Float:
     """Return one axis of a Gaussian of peak 1 integrated over each pixel, as a real sensor records it."""
     offset, width_px = np.asarray(offset_px, dtype=np.float64), sigma_px * math.sqrt(2)
-    return sigma_px * math.sqrt(math.pi / 2) * (_erf((offset + 0.5) / width_px) - _erf((offset - 0.5) / width_px))
+    integral = erf((offset + 0.5) / width_px) - erf((offset - 0.5) / width_px)
+    return np.asarray(sigma_px * math.sqrt(math.pi / 2) * integral)
