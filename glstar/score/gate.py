@@ -12,7 +12,7 @@ by         what frames are grouped by: ``flight``, a setting of a sweep, or the 
 group      the group that the limit is for; without it each group has to keep it
 =========  ============================================================================================================
 
-A limit without a value fails: nobody answered, or no frame is in the group.
+A limit without a value fails: there is no answer, or no frame is in the group.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

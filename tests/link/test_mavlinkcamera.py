@@ -342,7 +342,7 @@ def test_a_ground_station_takes_pictures_and_their_files_exist(tmp_path: Path, m
     ("words", "message"),
     [
         (["--mavlink-camera"], "add --export DIRECTORY"),
-        (["--mavlink-camera", "--export", "frames", "--every", "2"], "nobody commands"),
+        (["--mavlink-camera", "--export", "frames", "--every", "2"], "without commands"),
         (["--camera-id", "101"], "belong to --mavlink-camera"),
         (["--camera-delay", "0.1"], "belong to --mavlink-camera"),
     ],

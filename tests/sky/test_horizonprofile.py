@@ -41,6 +41,7 @@ def test_north_may_be_given_twice(tmp_path):
     ("text", "message"),
     [
         ("azimuth,height\n1,2\n3,4\n", "has columns azimuth, height; they must be azimuth_deg, altitude_deg"),
+        ('"azimuth_deg,altitude_deg\n0,-2.5\n15,5\n', "columns azimuth_deg,altitude_deg 0,-2.5 15,5; they must be"),
         (HEADER, "has 0 points; a horizon profile needs two or more"),
         (HEADER + "10,5\n5,6\n", "azimuths must ascend, but 5 follows 10"),
         (HEADER + "10,5\n20\n", "line 3: must be an azimuth and an altitude in degrees"),

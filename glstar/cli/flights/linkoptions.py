@@ -73,7 +73,7 @@ class CameraOptions:
     def component(self, settings: Config, directory: Path | None, *, has_interval: bool) -> CameraComponent | None:
         """Return the camera of the config, whose pictures lie in a directory; None without one.
 
-        `has_interval`: whether the command line gives the interval of frames that nobody commands.
+        `has_interval`: whether the command line gives the interval of frames without commands.
         """
         if not self.mavlink_camera:
             if self.camera_id is not None or self.camera_delay is not None:
@@ -82,7 +82,7 @@ class CameraOptions:
         if directory is None:
             raise typer.BadParameter("writes its pictures: add --export DIRECTORY", param_hint="--mavlink-camera")
         if has_interval:
-            message = "is the interval of frames that nobody commands; leave it out of --mavlink-camera"
+            message = "is the interval of frames without commands; leave it out of --mavlink-camera"
             raise typer.BadParameter(message, param_hint="--every")
         folders = (directory.absolute(), *directory.absolute().parents)
 

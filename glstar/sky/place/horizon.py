@@ -6,6 +6,7 @@ and `glstar.sky.air.refraction.refraction_displacement`, without asin and tan.
 
 import csv
 import io
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -195,7 +196,8 @@ def _read(file: Path, _changed_ns: int, _size: int) -> HorizonProfile:
 def _check_header(file: Path, names: Sequence[str]) -> None:
     columns = tuple(name.strip() for name in names)
     if columns != _COLUMNS:
-        raise ConfigError(f"{file} has columns {', '.join(columns)}; they must be {', '.join(_COLUMNS)}", key=_KEY)
+        found = textwrap.shorten(", ".join(columns), 100, placeholder=" ...")
+        raise ConfigError(f"{file} has columns {found}; they must be {', '.join(_COLUMNS)}", key=_KEY)
 
 
 def _point(file: Path, number: int, row: Sequence[str]) -> tuple[float, float]:
