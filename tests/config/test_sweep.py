@@ -66,8 +66,8 @@ def test_random_values_are_distributed_uniformly_in_their_range(tmp_path):
 
 
 def test_the_sine_of_an_angle_is_uniform_between_its_bounds(tmp_path):
-    text = "[sweep]\ndraws = 4000\nflight.latitude_deg = { min = -30, max = 90, sine = true }\nflight.longitude_deg = [0]\n"
-    config = config_of(tmp_path, text)
+    latitudes = "flight.latitude_deg = { min = -30, max = 90, sine = true }\nflight.longitude_deg = [0]"
+    config = config_of(tmp_path, f"[sweep]\ndraws = 4000\n{latitudes}\n")
 
     sines = np.sin(np.deg2rad(config.sweep.column("flight.latitude_deg")))
 
