@@ -187,7 +187,7 @@ def astrometry():
 
 
 def ruststartracker():
-    """ruststartracker takes unit vectors in the camera; its quaternion has the scalar last."""
+    """ruststartracker takes unit vectors in the camera; its quaternion, scalar last, goes from the camera to ICRS."""
     import ruststartracker as solver  # noqa: PLC0415 - only the chosen solver is installed
 
     stars = solver.StarCatalog.from_hipparcos(max_magnitude=FAINTEST_VMAG)
@@ -208,7 +208,8 @@ def ruststartracker():
             found = trackers[size].process_observation_vectors(camera.rays(found_px).astype(np.float32))
         except solver.StarTrackerError:
             return None
-        return dict(zip(("qx", "qy", "qz", "qw"), map(float, found.quat), strict=True))
+        x, y, z, w = map(float, found.quat)
+        return {"qw": w, "qx": -x, "qy": -y, "qz": -z}
 
     return solve
 
