@@ -135,9 +135,7 @@ COMMANDS = {
         "Show every setting in effect, and whether it comes from a flag, the config file, a preset or the default.",
     ),
     "bench": _Command(
-        "machine.doctor",
-        "bench",
-        "Measure how many frames a second this machine draws, and draws and writes as PNG, by image size.",
+        "images.bench", "app", "NightSky-Bench: draw named sets of frames, run solvers on them, compare."
     ),
     "doctor": _Command(
         "machine.doctor", "doctor", "Show OpenGL, devices, libraries and catalogues, and their problems."

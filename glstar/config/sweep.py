@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import chain
-from math import exp, isfinite, log, prod
+from math import asin, degrees, exp, isfinite, log, prod, radians, sin
 from types import UnionType
 from typing import Annotated, Any, Literal, Self, TypeGuard, Union, get_args, get_origin
 
@@ -34,7 +34,7 @@ _READING_KEYS = (
 )
 # Keys whose values are times.
 _TIMES = ("flight.utc_start", "flight.synthetic.start_utc")
-_RANGE_KEYS = {"min", "max", "log"}
+_RANGE_KEYS = {"min", "max", "log", "sine"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +47,8 @@ class Axis:
     most: float = 0.0  # upper bound of the random range
     log: bool = False  # whether its logarithm is distributed uniformly
     kind: str = "float"  # type of the random values: "float", "int" or "utc"
+    # Whether its sine is distributed uniformly: latitudes and altitudes in degrees, uniform over the sphere
+    sine: bool = False
 
     def drawn(self, chance: NDArray[np.float64]) -> list[Any]:
         """Return random values of uniform random numbers in [0, 1), (n,); times are ISO 8601 strings."""
@@ -55,6 +57,9 @@ class Axis:
             return whole
         if self.log:
             return [exp(value) for value in (log(self.least) + chance * log(self.most / self.least)).tolist()]
+        if self.sine:
+            low, high = sin(radians(self.least)), sin(radians(self.most))
+            return [degrees(asin(value)) for value in (low + chance * (high - low)).tolist()]
         values: list[Any] = (self.least + chance * (self.most - self.least)).tolist()
         return [format_utc(value) for value in values] if self.kind == "utc" else values
 
@@ -123,7 +128,8 @@ class Sweep:
     def as_json(self) -> dict[str, Any]:
         """Return the sweep, ready for JSON."""
         varies: dict[str, Any] = {
-            axis.key: list(axis.values) or {"min": axis.ends[0], "max": axis.ends[1], "log": axis.log}
+            axis.key: list(axis.values)
+            or {"min": axis.ends[0], "max": axis.ends[1], "log": axis.log} | ({"sine": True} if axis.sine else {})
             for axis in self.axes
         }
         return {"draws": self.draws, "seed": self.seed, "varies": varies}
@@ -193,7 +199,7 @@ def _axis(key: str, value: object, faults: list[Fault]) -> Iterator[Axis]:
 
 def _range(key: str, value: Mapping[str, Any], faults: list[Fault]) -> Iterator[Axis]:
     kind = _kind(key)
-    is_log = value.get("log", False)
+    is_log, is_sine = value.get("log", False), value.get("sine", False)
     try:
         least, most = (parse_utc(_text(value[end])) if kind == "utc" else _number(value[end]) for end in ("min", "max"))
     except ValueError as error:
@@ -204,8 +210,13 @@ def _range(key: str, value: Mapping[str, Any], faults: list[Fault]) -> Iterator[
     elif not least <= most or is_log not in (True, False) or (is_log and (least <= 0 or kind != "float")):
         needs = "max must be at least min, and log = true needs positive numbers and a key that is not an integer"
         faults.append((f"sweep.{key}", f"is not a range: {needs}"))
+    elif is_sine not in (True, False) or (is_sine and not (key.endswith("_deg") and -90 <= least <= most <= 90)):
+        needs = "sine = true needs an angle in degrees from -90 to 90, such as a latitude"
+        faults.append((f"sweep.{key}", f"is not a range: {needs}"))
+    elif is_sine and is_log:
+        faults.append((f"sweep.{key}", "is not a range: log and sine exclude each other"))
     else:
-        yield Axis(key, (), least, most, is_log, kind)
+        yield Axis(key, (), least, most, is_log, kind, is_sine)
 
 
 def _kind(key: str) -> str:

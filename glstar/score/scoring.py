@@ -243,8 +243,7 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
     AnswersError if a file cannot be read, or no line of it is a valid answer to a frame.
     """
     truths = read_frame_truths(directory, least_snr=least_snr)
-    given = read_answers(answers)
-    matched, unmatched = _matched(given, truths)
+    matched, faults = matched_answers(answers, truths)
     frames = tuple(score_frame(truth, matched.get(truth.frame), limits or Limits()) for truth in truths)
     grouped = [*((one.name, one.grouped(frames)) for one in BINS), *settings_bins(frames)]
     binned = (
@@ -258,8 +257,18 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
         tuple(binned),
         tuple(runs_of(frames)),
         drawn_settings(frames),
-        (*given.faults, *unmatched),
+        faults,
     )
+
+
+def matched_answers(path: Path, truths: Sequence[FrameTruth]) -> tuple[dict[int, Answer], tuple[str, ...]]:
+    """Return the valid answers of a file by frame number, and what is wrong with each other line.
+
+    Raises AnswersError if the file cannot be read, or no line of it is a valid answer to a frame.
+    """
+    given = read_answers(path)
+    matched, unmatched = _matched(given, truths)
+    return matched, (*given.faults, *unmatched)
 
 
 def _matched(given: AnswerFile, truths: Sequence[FrameTruth]) -> tuple[dict[int, Answer], list[str]]:

@@ -34,9 +34,9 @@ def chessboard_sheet() -> tuple[np.ndarray, np.ndarray]:
     return np.pad(sheet, square, constant_values=255), np.array([2.0 * square, 2.0 * square])
 
 
-def charuco_sheet() -> tuple[np.ndarray, np.ndarray]:
+def charuco_sheet(*, is_legacy: bool = False) -> tuple[np.ndarray, np.ndarray]:
     size = round(8 * 30 * PX_A_MM), round(6 * 30 * PX_A_MM)
-    sheet = CHARUCO.opencv().generateImage(size)
+    sheet = CHARUCO.opencv(is_legacy=is_legacy).generateImage(size)
     return np.pad(sheet, 200, constant_values=255), np.array([200.0, 200.0])
 
 
@@ -97,8 +97,12 @@ def test_the_camera_is_recovered_from_chessboards(chessboards: list[Path]) -> No
     assert (done[0], done[-1]) == ((0, 8), (8, 8))
 
 
-def test_a_fisheye_is_recovered_from_charuco_boards(tmp_path: Path) -> None:
-    paths = photographs(tmp_path, FISHEYE, *charuco_sheet(), (120.0, 90.0), nearer=0.6)
+@pytest.mark.parametrize("is_legacy", [False, True], ids=["of today", "of OpenCV before 4.6"])
+def test_a_fisheye_is_recovered_from_charuco_boards(is_legacy: bool, tmp_path: Path) -> None:
+    sheet, origin_px = charuco_sheet(is_legacy=is_legacy)
+    # Six rows: the first square of a board of today is black, and of an old one has a marker.
+    assert (sheet[210:430, 210:430] == 0).all() != is_legacy
+    paths = photographs(tmp_path, FISHEYE, sheet, origin_px, (120.0, 90.0), nearer=0.6)
 
     fit = camera_from_boards(paths, CHARUCO, model="fisheye")
 

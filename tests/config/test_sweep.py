@@ -65,6 +65,34 @@ def test_random_values_are_distributed_uniformly_in_their_range(tmp_path):
     assert all("2024-01-01" <= sample["flight.utc_start"] < "2024-01-02T00:00:01" for sample in samples)
 
 
+def test_the_sine_of_an_angle_is_uniform_between_its_bounds(tmp_path):
+    latitudes = "flight.latitude_deg = { min = -30, max = 90, sine = true }\nflight.longitude_deg = [0]"
+    config = config_of(tmp_path, f"[sweep]\ndraws = 4000\n{latitudes}\n")
+
+    sines = np.sin(np.deg2rad(config.sweep.column("flight.latitude_deg")))
+
+    # From -0.5 to 1: mean 0.25, and a quarter of the draws below -0.125 (7.2 deg south); 4 standard errors of 4000.
+    assert -0.5 <= sines.min() < -0.49
+    assert 0.99 < sines.max() <= 1
+    assert np.mean(sines) == pytest.approx(0.25, rel=0, abs=4 * 1.5 / np.sqrt(12 * 4000))
+    assert np.mean(sines < -0.125) == pytest.approx(0.25, rel=0, abs=4 * np.sqrt(0.25 * 0.75 / 4000))
+    assert config.sweep.as_json()["varies"]["flight.latitude_deg"]["sine"] is True
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "flight.latitude_deg = { min = -30, max = 91, sine = true }",
+        "exposure.duration_s = { min = 0.1, max = 1, sine = true }",
+        "flight.synthetic.heading_deg = { min = 0, max = 360, sine = true }",
+        "mount.roll_deg = { min = 1, max = 20, sine = true, log = true }",
+    ],
+)
+def test_a_sine_is_of_an_angle_within_a_quarter_turn(text, tmp_path):
+    with pytest.raises(ConfigError, match=r"sine = true needs an angle|exclude each other"):
+        config_of(tmp_path, f"[sweep]\n{text}\n")
+
+
 def test_a_draw_depends_on_the_seed_and_its_index_only(tmp_path):
     few, many, other = (
         config_of(tmp_path, RANGES.format(draws=draws, seed=seed)).sweep for draws, seed in ((3, 1), (7, 1), (3, 2))

@@ -1,12 +1,13 @@
-"""Four solvers on frames of glstar: each reads images and nav.jsonl, and writes answers in glstar's conventions.
+"""Five solvers on frames of glstar: each reads images and nav.jsonl, and writes answers in glstar's conventions.
 
     glstar export -c night.toml -o seen --blind hidden
     python tests/examples/solver_adapters.py tetra3rs seen answers.jsonl
     glstar score hidden answers.jsonl
 
-Solvers: tetra3rs, cedar-solve (needs numpy < 2), zenith-fixer, and astrometry (astrometry.net from Python; the variable
-ASTROMETRY_INDEXES names the folder of its index files).  Only NumPy, SciPy and Pillow are needed beside the solver, not
-glstar.  `glstar manual solvers` has the conventions, and each adapter the step from them to those of a solver.
+Solvers: tetra3rs, cedar-solve (needs numpy < 2), zenith-fixer, ruststartracker (needs typing_extensions), astrometry
+(astrometry.net from Python; ASTROMETRY_INDEXES names the folder of its index files).  Only NumPy, SciPy and
+Pillow are needed beside the solver, not glstar.  `glstar manual solvers` has the conventions, and each adapter the step
+from them to those of a solver.
 """
 
 import json
@@ -22,6 +23,7 @@ from scipy import ndimage
 
 DETECTION_SIGMA = 6.0
 MOST_SPOTS = 60
+FAINTEST_VMAG, LEAST_MATCHES = 6.0, 7  # of ruststartracker
 MATCH_PX = 6.0  # a spot this close to a star of a map is that star
 
 
@@ -36,23 +38,50 @@ def spots(image):
     return yx[np.argsort(-flux)][:MOST_SPOTS, ::-1]
 
 
-class Pinhole:
-    """The camera of a line of nav.jsonl, without a lens."""
+class Camera:
+    """The camera of a line of nav.jsonl: a pinhole, or behind a lens of OpenCV's plumb bob model."""
 
     def __init__(self, camera):
-        if camera["lens"] != "none":
+        if camera["lens"] not in {"none", "plumb_bob"}:
             raise SystemExit(f"the lens is {camera['lens']}: undistort the centroids first, with camera.distortion")
+        self.k1, self.k2, self.p1, self.p2, self.k3 = [*camera["distortion"], 0, 0, 0, 0, 0][:5]
         (self.fx, _, self.cx), (_, self.fy, self.cy), _ = camera["K"]
         self.width, self.height = camera["width_px"], camera["height_px"]
         self.field_rad = 2 * math.atan(self.width / 2 / self.fx)
 
+    def plane(self, xy_px):
+        """Return the points of the plane at distance 1 whose images these pixels are, without the lens, (n, 2)."""
+        seen = (xy_px - [self.cx, self.cy]) / [self.fx, self.fy]
+        x, y = seen.T
+        for _ in range(20):
+            r2 = x**2 + y**2
+            radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+            x, y = (
+                (seen[:, 0] - 2 * self.p1 * x * y - self.p2 * (r2 + 2 * x**2)) / radial,
+                (seen[:, 1] - self.p1 * (r2 + 2 * y**2) - 2 * self.p2 * x * y) / radial,
+            )
+        return np.column_stack([x, y])
+
     def centred(self, xy_px):
-        """Return pixel positions from the principal point, with square pixels of the focal length fx, (n, 2) px."""
-        return (xy_px - [self.cx, self.cy]) * [1.0, self.fx / self.fy]
+        """Return undistorted pixels from the principal point, square and of the focal length fx, (n, 2) px."""
+        return self.plane(xy_px) * self.fx
+
+    def straightened(self, image):
+        """Return the image that the camera would take without the lens."""
+        if not any((self.k1, self.k2, self.p1, self.p2, self.k3)):
+            return image
+        rows, columns = np.indices(image.shape, dtype=np.float64)
+        x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
+        r2 = x**2 + y**2
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        seen_x = x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2)
+        seen_y = y * radial + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y
+        where = seen_y * self.fy + self.cy, seen_x * self.fx + self.cx
+        return ndimage.map_coordinates(image, where, order=1, mode="nearest")
 
     def rays(self, xy_px):
         """Return unit vectors in the camera: right, down, along the optical axis, (n, 3)."""
-        rays = np.column_stack([self.centred(xy_px) / self.fx, np.ones(len(xy_px))])
+        rays = np.column_stack([self.plane(xy_px), np.ones(len(xy_px))])
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
@@ -113,7 +142,9 @@ def zenith_fixer():
         hour, minute, second = clock.split(":")
         utc = (*map(int, date.split("-")), int(hour), int(minute), float(second))
         try:
-            fix = zenith.resolve_fix(image, camera.fx, camera.cx, camera.cy, nav["up_camera"]["middle"], utc, catalogue)
+            fix = zenith.resolve_fix(
+                camera.straightened(image), camera.fx, camera.cx, camera.cy, nav["up_camera"]["middle"], utc, catalogue
+            )
         except zenith.ZenithError:
             return None
         major_nm, minor_nm, azimuth_deg = fix.ellipse_2sigma_nm
@@ -140,7 +171,8 @@ def astrometry():
     def solve(image, nav, camera):
         arcsec_per_px = math.degrees(1 / camera.fx) * 3600
         hint = solver.SizeHint(0.7 * arcsec_per_px, 1.3 * arcsec_per_px)
-        found_px = spots(image)
+        seen_px = spots(image)
+        found_px = camera.centred(seen_px) + np.array([camera.cx, camera.cy])
         solution = solving.solve(found_px, hint, None, parameters)
         if not solution.has_match():
             return None
@@ -149,7 +181,35 @@ def astrometry():
         star_px = map_pixels({key: value for key, (value, _) in match.wcs_fields.items()}, sky)
         distance_px = np.linalg.norm(found_px[:, np.newaxis] - star_px, axis=-1)
         same = np.argwhere((distance_px < MATCH_PX) & (distance_px == distance_px.min(axis=0)))
-        return attitude(camera.rays(found_px[same[:, 0]]), sky[same[:, 1]]) if len(same) > 2 else None
+        return attitude(camera.rays(seen_px[same[:, 0]]), sky[same[:, 1]]) if len(same) > 2 else None
+
+    return solve
+
+
+def ruststartracker():
+    """ruststartracker takes unit vectors in the camera; its quaternion, scalar last, goes from the camera to ICRS."""
+    import ruststartracker as solver  # noqa: PLC0415 - only the chosen solver is installed
+
+    stars = solver.StarCatalog.from_hipparcos(max_magnitude=FAINTEST_VMAG)
+    sky = stars.normalized_positions(epoch=2025.5)
+    trackers = {}
+
+    def solve(image, nav, camera):
+        size = camera.width, camera.height
+        if size not in trackers:
+            matrix = np.array(nav["camera"]["K"], dtype=np.float32)
+            trackers[size] = solver.StarTracker(
+                sky, stars.magnitude, solver.CameraParameters(matrix, size, None), n_minimum_matches=LEAST_MATCHES
+            )
+        found_px = spots(image)
+        if len(found_px) < LEAST_MATCHES:
+            return None
+        try:
+            found = trackers[size].process_observation_vectors(camera.rays(found_px).astype(np.float32))
+        except solver.StarTrackerError:
+            return None
+        x, y, z, w = map(float, found.quat)
+        return {"qw": w, "qx": -x, "qy": -y, "qz": -z}
 
     return solve
 
@@ -180,7 +240,13 @@ def attitude(rays, sky):
     return {"ra_deg": math.degrees(ra), "dec_deg": math.degrees(dec), "roll_deg": math.degrees(roll)}
 
 
-SOLVERS = {"tetra3rs": tetra3rs, "cedar-solve": cedar_solve, "zenith-fixer": zenith_fixer, "astrometry": astrometry}
+SOLVERS = {
+    "tetra3rs": tetra3rs,
+    "cedar-solve": cedar_solve,
+    "zenith-fixer": zenith_fixer,
+    "astrometry": astrometry,
+    "ruststartracker": ruststartracker,
+}
 
 
 def main(name, directory, answers):
@@ -191,7 +257,7 @@ def main(name, directory, answers):
         for nav in map(json.loads, lines):
             image = np.array(Image.open(Path(directory) / nav["file"]))
             began_s = time.perf_counter()
-            found = solve(image, nav, Pinhole(nav["camera"])) if nav["up_camera"] is not None else None
+            found = solve(image, nav, Camera(nav["camera"])) if nav["up_camera"] is not None else None
             time_ms = 1000 * (time.perf_counter() - began_s)
             answer = {"frame": nav["frame"], "time_ms": time_ms, **(found or {"status": "refused"})}
             file.write(json.dumps(answer) + "\n")

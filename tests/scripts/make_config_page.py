@@ -54,7 +54,8 @@ TAIL = """
 
 What varies from one sample of a data set to the next: `draws` (number of random draws of each combination), `seed`,
 `start_s` (start of the exposures in the flight, s), and any key above by its dotted name. A list gives every value, a
-range `{ min = 1.0, max = 10.0 }` is drawn uniformly, or with `log = true` logarithmically. See `glstar manual export`.
+range `{ min = 1.0, max = 10.0 }` is drawn uniformly, with `log = true` logarithmically, and with `sine = true` (angles
+from -90 to 90 deg) uniformly in its sine, as directions over a sphere. See `glstar manual export`.
 """
 
 

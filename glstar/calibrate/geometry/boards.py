@@ -88,14 +88,26 @@ class CharucoBoard:
                 f" {self.columns * self.rows // 2}"
             )
 
-    def opencv(self) -> Any:
-        """Return the board as an object of OpenCV."""
+    def opencv(self, *, is_legacy: bool = False) -> Any:
+        """Return the board as an object of OpenCV; a legacy board has a marker in its first corner."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_mm, self.marker_mm, dictionary)
+        board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_mm, self.marker_mm, dictionary)
+        board.setLegacyPattern(is_legacy)
+        return board
 
     def find(self, pixels: NDArray[np.uint8]) -> tuple[Float, Float]:
-        """Return the visible corners on the board, (n, 3) mm, and on an image, (n, 2) px."""
-        board = self.opencv()
+        """Return the visible corners on the board, (n, 3) mm, and on an image, (n, 2) px.
+
+        A board with an even number of rows may be one as OpenCV drew it before 4.6, with black and white squares
+        exchanged; the corners of the pattern that is there are found.
+        """
+        found = self._corners(self.opencv(), pixels)
+        if len(found[0]) == 0 and self.rows % 2 == 0:
+            found = self._corners(self.opencv(is_legacy=True), pixels)
+        return found
+
+    @staticmethod
+    def _corners(board: Any, pixels: NDArray[np.uint8]) -> tuple[Float, Float]:
         corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(pixels)
         if numbers is None or len(numbers) == 0:
             return np.empty((0, 3)), np.empty((0, 2))
