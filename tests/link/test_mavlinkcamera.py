@@ -5,12 +5,13 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.link.camera import CameraComponent, CameraFacts, CapturedImage
+from glstar.link.camera import CameraComponent, CameraFacts, CapturedImage, VideoFacts
 from glstar.link.clock import BootClock
 from glstar.link.packets import Framer, dialect
 from glstar.link.receiver import Receiver
@@ -26,8 +27,8 @@ STATION = (255, 190)
 class Bench:
     """A camera on a link whose vehicle booted at `time.monotonic` 0, and a station that commands it."""
 
-    def __init__(self, *, exposure_s: float = 0.5, delay_s: float = 0.0, has_utc: bool = True) -> None:
-        facts = CameraFacts("night", 640, 480, exposure_s, 3.0, lambda: (1000.0, 250.0))
+    def __init__(self, *, exposure_s: float = 0.5, delay_s: float = 0.0, has_utc: bool = True, **facts_: Any) -> None:
+        facts = CameraFacts("night", 641, 480, exposure_s, 3.0, lambda: (1000.0, 250.0), **facts_)
         self.camera = CameraComponent(facts, delay_s=delay_s)
         self.receiver = Receiver(BootClock(), lambda _: None)
         self.now_s = 20.0
@@ -94,9 +95,27 @@ def test_it_states_size_storage_and_that_it_takes_images() -> None:
 
     assert bytes(about.vendor_name).rstrip(b"\0") == b"glstar"
     assert bytes(about.model_name).rstrip(b"\0") == b"night"
-    assert (about.resolution_h, about.resolution_v) == (640, 480)
+    assert (about.resolution_h, about.resolution_v) == (641, 480)
     assert about.flags == M.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
     assert (storage.total_capacity, storage.used_capacity, storage.available_capacity) == (1000.0, 750.0, 250.0)
+
+
+def test_a_video_stream_is_stated_where_there_is_one() -> None:
+    bench = Bench(video=VideoFacts(5600, 10.0), horizontal_field_deg=54.4)
+
+    assert bench.command(512, 259)[1].flags == M.CAMERA_CAP_FLAGS_CAPTURE_IMAGE | M.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM
+    for words in ((512, 269, 0), (512, 269, 1), (2504, 0), (2504, 1)):
+        ack, stream = bench.command(*words)
+        assert (ack.result, stream.get_type()) == (M.MAV_RESULT_ACCEPTED, "VIDEO_STREAM_INFORMATION")
+        assert (stream.type, stream.encoding) == (M.VIDEO_STREAM_TYPE_RTPUDP, M.VIDEO_STREAM_ENCODING_H264)
+        # Of RTP, the UDP port at which the ground station listens.
+        assert (stream.stream_id, stream.count, stream.uri) == (1, 1, "5600")
+        # H.264 has even sizes.
+        assert (stream.resolution_h, stream.resolution_v, stream.framerate, stream.hfov) == (640, 480, 10.0, 54)
+    for words in ((512, 270, 1), (2505, 1)):
+        status = bench.command(*words)[1]
+        assert (status.get_type(), status.flags) == ("VIDEO_STREAM_STATUS", M.VIDEO_STREAM_STATUS_FLAGS_RUNNING)
+    assert bench.result(512, 269, 2) == M.MAV_RESULT_DENIED
 
 
 def test_a_picture_begins_when_it_is_commanded_plus_the_delay() -> None:
@@ -216,6 +235,7 @@ def test_an_interval_shorter_than_the_exposure_is_that_of_the_exposure() -> None
         ((203, 0, 0, 0, 0, 0), M.MAV_RESULT_ACCEPTED),  # nothing to do
         ((512, nan), M.MAV_RESULT_UNSUPPORTED),
         ((512, 269), M.MAV_RESULT_UNSUPPORTED),  # no video stream
+        ((2504, 1), M.MAV_RESULT_UNSUPPORTED),
         ((526, 1, 1), M.MAV_RESULT_UNSUPPORTED),  # nobody formats a disk
         ((2500, 0, 1), M.MAV_RESULT_UNSUPPORTED),
     ],
@@ -336,6 +356,27 @@ def test_a_ground_station_takes_pictures_and_their_files_exist(tmp_path: Path, m
         boresight_ned = matrix_from_quaternion(np.array(one.q)) @ [1.0, 0.0, 0.0]
         C_body_ned = matrix_from_quaternion(np.array(line["q_body_ned"]))
         np.testing.assert_allclose(boresight_ned, C_body_ned.T @ np.array(line["C_camera_body"])[2], rtol=0, atol=1e-6)
+
+
+def test_between_its_pictures_the_camera_films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port, frames, config, video = free_port(), tmp_path / "frames", tmp_path / "small.toml", tmp_path / "night.ts"
+    config.write_text(SMALL)
+    vehicle = Commanding(port)
+    monkeypatch.setattr("tests.support.autopilot.SimulatedAutopilot", lambda *_: vehicle)
+    words = f"live udpin:127.0.0.1:{port} --truth sim_state --exposure 0.1 --every 0.2 --duration 100 --max-gap 5"
+    words += f" -c {config} --mavlink-camera --export {frames} --video {video}"
+    with simulated(port), interrupted_when(lambda: len(vehicle.captured()) >= 5):
+        result = CliRunner().invoke(app, words.split())
+
+    assert result.exit_code == 0, result.output
+    truth = lines(frames / "truth.jsonl")
+    assert [line["image_index"] for line in truth] == list(range(len(truth)))
+    assert [line["frame"] for line in truth] == list(range(len(truth)))
+    assert len(list(frames.glob("frame_*"))) == len(truth)
+    with av.open(str(video)) as file:
+        stamps_s = [float(one.pts * one.time_base) for one in file.demux(video=0) if one.pts is not None]
+    # The first command comes after two seconds, another one every 0.3 s at most.
+    assert len(stamps_s) > len(truth) + 5
 
 
 @pytest.mark.parametrize(

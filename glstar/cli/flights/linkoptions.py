@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import degrees
 from pathlib import Path
 from shutil import disk_usage
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 import typer
 
 from glstar.cli.flightoptions import with_fields_as_options
+from glstar.cli.flights.liveoutputs import LiveOutputs
 from glstar.config import Config
 from glstar.link import Endpoint, InjectedMessage, Injector
 from glstar.link.camera import CAMERA_ID, CameraComponent, CameraFacts
@@ -70,10 +72,13 @@ class CameraOptions:
     camera_id: CameraId = None
     camera_delay: CameraDelay = None
 
-    def component(self, settings: Config, directory: Path | None, *, has_interval: bool) -> CameraComponent | None:
+    def component(
+        self, settings: Config, directory: Path | None, outputs: LiveOutputs, *, has_interval: bool
+    ) -> CameraComponent | None:
         """Return the camera of the config, whose pictures lie in a directory; None without one.
 
-        `has_interval`: whether the command line gives the interval of frames without commands.
+        `outputs`: where its video goes; `has_interval`: whether the command line gives the interval of frames without
+        commands.
         """
         if not self.mavlink_camera:
             if self.camera_id is not None or self.camera_delay is not None:
@@ -81,8 +86,8 @@ class CameraOptions:
             return None
         if directory is None:
             raise typer.BadParameter("writes its pictures: add --export DIRECTORY", param_hint="--mavlink-camera")
-        if has_interval:
-            message = "is the interval of frames without commands; leave it out of --mavlink-camera"
+        if has_interval and not outputs.has_viewers:
+            message = "is the interval of frames without commands; leave it out of --mavlink-camera, or add --video"
             raise typer.BadParameter(message, param_hint="--every")
         folders = (directory.absolute(), *directory.absolute().parents)
 
@@ -98,6 +103,8 @@ class CameraOptions:
             exposure_s=exposure.span_s,
             interval_s=exposure.interval_s,
             storage_mib=storage_mib,
+            horizontal_field_deg=degrees(camera.horizontal_field_rad),
+            video=outputs.video_facts(settings),
         )
         component = CAMERA_ID if self.camera_id is None else self.camera_id
         return CameraComponent(facts, component=component, delay_s=self.camera_delay or 0.0)

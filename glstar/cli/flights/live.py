@@ -5,7 +5,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -15,8 +15,8 @@ import typer
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.flights import windowoptions
 from glstar.cli.flights.linkoptions import CameraOptions, Injection, InjectionOptions, with_link_options
+from glstar.cli.flights.liveoutputs import LiveOutputs, with_live_outputs
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
-from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
@@ -98,27 +98,27 @@ class _ExportOptions:
     """Outputs of frames."""
 
     directory: Path | None
-    publishing: FramePublishing
+    outputs: LiveOutputs
     image_format: Any
     seed: int
     force: bool
 
     @classmethod
-    def of(cls, directory: Path | None, publishing: FramePublishing, *others: Any) -> Self | None:
+    def of(cls, directory: Path | None, outputs: LiveOutputs, *others: Any) -> Self | None:
         """Return the options; None if no frames are asked for."""
-        return None if directory is None and publishing.where is None else cls(directory, publishing, *others)
+        return None if directory is None and not outputs.has_any else cls(directory, outputs, *others)
 
 
 # These options apply to logs only.
 @with_verbosity
 @with_link_options
+@with_live_outputs
 @with_flight_flags(but={"attitude", "boot", "columns", "position", "vehicle"})
 def live(
     link: LinkName = None,
     *,
     export: ExportTo = None,
-    latest_frame: LatestFrame = None,
-    with_truth: WithTruth = False,
+    outputs: LiveOutputs,
     record: Record = None,
     exposure: ExposureLength = None,
     every: Interval = None,
@@ -150,15 +150,16 @@ def live(
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
-    frames = _ExportOptions.of(export, FramePublishing(latest_frame, with_truth), format_, seed, force)
+    frames = _ExportOptions.of(export, outputs, format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
     with exit_on_interrupt():
         _import_libraries(draws=frames is not None)
+        outputs.check()
     windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
     injection = injected.injection(endpoint, answers, exports=frames is not None)
-    camera = commanded.component(settings, export, has_interval=every is not None)
+    camera = commanded.component(settings, export, outputs, has_interval=every is not None)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
         senders = {"camera": camera, "injector": None if injection is None else injection.injector}
@@ -180,11 +181,11 @@ def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bo
     of_window = window.screenshot is not None or window.stats is not None
     if exports and (of_window or window.show is not None or window.headless):
         raise typer.BadParameter(
-            "--export and --latest-frame open no window: --show, --screenshot, --stats belong to a window"
+            "--export, --latest-frame and --video open no window: --show, --screenshot, --stats belong to a window"
         )
     if window.headless and not (records or of_window):
         raise typer.BadParameter(
-            "without a window there is nothing to do but --record, --export, --latest-frame or --screenshot",
+            "without a window there is nothing to do but --record, --export, --latest-frame, --video or --screenshot",
             param_hint="--headless",
         )
     if window.answers is not None and window.headless and not (exports or of_window):
@@ -276,13 +277,13 @@ def _export(
     with ExitStack() as stack:
         renderer = stack.enter_context(GLRenderer.headless())
         _, sensor = fit_format(frames.image_format, settings.sensor(), summed=settings.exposure.signal_factor)
-        publishing = frames.publishing
-        output = None if publishing.where is None else stack.enter_context(closing(publishing.opened(settings, sensor)))
+        opened = stack.enter_context(frames.outputs.opened(settings, sensor))
         job = LiveExport(
             settings,
             link,
             directory=frames.directory,
-            output=output,
+            output=opened.all,
+            preview=None if link.camera is None else opened.viewers,
             image_format=frames.image_format,
             seed=frames.seed,
             command=shlex.join(["glstar", *sys.argv[1:]]),

@@ -13,7 +13,8 @@ import re
 import select
 import socket
 import time
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
@@ -57,6 +58,8 @@ class MjpegServer:
     the sensor, otherwise its saturation is white; `summed` is the number of short exposures whose sum a frame is.
     Raises ConfigError if the address is not valid or in use.
     """
+
+    needs_nav = True
 
     def __init__(self, where: str, sensor: Sensor, *, summed: int = 1) -> None:
         self._sensor, self._summed, self._quality = sensor, summed, CameraProcessing.of(sensor).jpeg_quality
@@ -262,6 +265,8 @@ class VideoDevice:
     installed, or there is no such device.
     """
 
+    needs_nav = False
+
     def __init__(self, where: str, camera: Camera, sensor: Sensor, *, frames_per_s: float, summed: int = 1) -> None:
         library, device = _library(), where.removeprefix(VIDEO) or None
         self._sensor, self._summed = sensor, summed
@@ -300,6 +305,8 @@ def _library() -> Any:
 class FrameOutput(Protocol):
     """Receives each frame as soon as it is drawn."""
 
+    needs_nav: bool  # Whether `write` needs what the aircraft knows
+
     def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
         """Pass a frame on.
 
@@ -311,6 +318,25 @@ class FrameOutput(Protocol):
     def close(self) -> None:
         """End the output; a second call does nothing."""
         ...
+
+
+class FrameOutputs:
+    """Several outputs as one; `close` ends all of them."""
+
+    def __init__(self, outputs: Sequence[FrameOutput]) -> None:
+        self._outputs = tuple(outputs)
+        self.needs_nav = any(output.needs_nav for output in self._outputs)
+
+    def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
+        """Pass a frame on to each, in their order."""
+        for output in self._outputs:
+            output.write(pixels, truth, nav)
+
+    def close(self) -> None:
+        """End each, also if another one fails."""
+        with ExitStack() as ending:
+            for output in self._outputs:
+                ending.callback(output.close)
 
 
 def open_frame_output(

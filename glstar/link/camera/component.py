@@ -30,6 +30,15 @@ _MOST_WAITING, _MOST_TAKEN = 10_000, 100_000
 # Longest URL of CAMERA_IMAGE_CAPTURED, bytes.
 _URL_BYTES = 204
 _MAVLINK_VERSION = 3
+# Number of the video stream, from 1.
+_STREAM_ID = 1
+
+
+class VideoFacts(NamedTuple):
+    """What a camera states about its video: H.264 by RTP."""
+
+    port: int  # UDP port at which ground stations receive it
+    frames_per_s: float
 
 
 class CameraFacts(NamedTuple):
@@ -41,6 +50,8 @@ class CameraFacts(NamedTuple):
     exposure_s: float  # From the first opening to the last closing
     interval_s: float  # Between two pictures if a command gives none
     storage_mib: Callable[[], tuple[float, float]]  # Total and available
+    horizontal_field_deg: float = 0.0
+    video: VideoFacts | None = None  # None if it sends none
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +140,7 @@ class CameraComponent:
         self._heartbeat_s = -inf
         # What the user should know; taken from the left by the link.
         self.messages: deque[str] = deque()
+        self._of_streams = {m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION, m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS}
         self._numbers = {m.MAVLINK_MSG_ID_COMMAND_LONG, m.MAVLINK_MSG_ID_COMMAND_INT}
         self._makers: dict[int, Callable[[_Now], Any]] = {
             m.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
@@ -136,6 +148,9 @@ class CameraComponent:
             m.MAVLINK_MSG_ID_STORAGE_INFORMATION: self._storage,
             m.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: self._status,
         }
+        if facts.video is not None:
+            self._makers[m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION] = self._video_information
+            self._makers[m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS] = self._video_status
         self._commands: dict[int, Callable[[Any, _Now], int]] = {
             m.MAV_CMD_REQUEST_MESSAGE: lambda command, now: self._send(command.param1, command.param2, now),
             m.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: self._resend,
@@ -147,6 +162,10 @@ class CameraComponent:
             m.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: partial(
                 self._send_on_request, m.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS
             ),
+            m.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: partial(
+                self._send_of_stream, m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION
+            ),
+            m.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: partial(self._send_of_stream, m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS),
             m.MAV_CMD_IMAGE_START_CAPTURE: self._start,
             m.MAV_CMD_IMAGE_STOP_CAPTURE: lambda _, __: self._stop(),
             m.MAV_CMD_DO_DIGICAM_CONTROL: self._digicam,
@@ -308,6 +327,8 @@ class CameraComponent:
         maker = self._makers.get(int(number)) if isfinite(number) else None
         if maker is None:
             return int(m.MAV_RESULT_UNSUPPORTED)
+        if number in self._of_streams and parameter not in {0, _STREAM_ID}:
+            return int(m.MAV_RESULT_DENIED)
         if now is not None:
             self._replies.append(maker(now))
         return int(m.MAV_RESULT_ACCEPTED)
@@ -315,6 +336,10 @@ class CameraComponent:
     def _send_on_request(self, number: int, command: Any, now: _Now) -> int:
         """Answer an older request for one message, whose parameter 1 is 1."""
         return self._send(number, 0.0, now if command.param1 else None)
+
+    def _send_of_stream(self, number: int, command: Any, now: _Now) -> int:
+        """Answer an older request for a message about a video stream, whose parameter 1 is the stream, 0 all."""
+        return self._send(number, command.param1, now)
 
     def _resend(self, command: Any, now: _Now) -> int:
         return self._send(self._mavlink.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED, command.param1, now)
@@ -340,7 +365,7 @@ class CameraComponent:
             facts.width_px,
             facts.height_px,
             0,
-            m.CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
+            m.CAMERA_CAP_FLAGS_CAPTURE_IMAGE | (0 if facts.video is None else m.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM),
             0,
             b"",
         )
@@ -367,6 +392,26 @@ class CameraComponent:
             self._facts.storage_mib()[1],
             self._count,
         )
+
+    def _video_information(self, _: _Now) -> Any:
+        m, video = self._mavlink, self._facts.video
+        assert video is not None
+        # Of a stream that is sent to a ground station, the port at which it listens.
+        name, uri = b"night sky", str(video.port).encode()
+        return m.MAVLink_video_stream_information_message(
+            _STREAM_ID, 1, m.VIDEO_STREAM_TYPE_RTPUDP, *self._video(), name, uri, m.VIDEO_STREAM_ENCODING_H264
+        )
+
+    def _video_status(self, _: _Now) -> Any:
+        return self._mavlink.MAVLink_video_stream_status_message(_STREAM_ID, *self._video())
+
+    def _video(self) -> tuple[float, ...]:
+        """Return flags, frame rate, size, bit rate (unknown), rotation and field of view of the video."""
+        facts, video = self._facts, self._facts.video
+        assert video is not None
+        size_px = facts.width_px // 2 * 2, facts.height_px // 2 * 2
+        running = self._mavlink.VIDEO_STREAM_STATUS_FLAGS_RUNNING
+        return running, video.frames_per_s, *size_px, 0, 0, round(facts.horizontal_field_deg)
 
     def _image(self, image: CapturedImage, now: _Now) -> Any:
         since_s = 0.0 if now.utc_s is None else now.utc_s - image.capture.start_utc_s
