@@ -227,13 +227,14 @@ class LiveExport:
         """Draw the exposures that are commanded, each as soon as its attitudes have arrived."""
         camera = self._link.camera
         assert camera is not None
-        span_s = self._frames.config.exposure.span_s
         for left_s in self._turns(until_s, writer, on_event):
             capture = camera.next()
             if capture is None:
                 if not self._show(renderer):
                     self._stopping.wait(min(_COMMAND_POLL_S, left_s))
                 continue
+            self._frames.use(capture.settings)
+            span_s = self._frames.config.exposure.span_s
             stop_s = capture.start_utc_s + span_s
             latest = self._link.wait_for(stop_s, min(span_s + _LATE_ATTITUDE_S, left_s))
             frame = None if latest is None else self._frames.draw(renderer, capture.start_utc_s, latest, capture.about)
@@ -252,9 +253,11 @@ class LiveExport:
 
     def _show(self, renderer: Renderer) -> bool:
         """Draw what viewers see between the pictures, if it is due; return whether it was drawn."""
-        latest, every_s = self._link.latest(), self._frames.config.exposure.interval_s
-        if self._preview is None or latest is None:
+        latest, camera = self._link.latest(), self._link.camera
+        if self._preview is None or latest is None or camera is None:
             return False
+        self._frames.use(camera.settings)
+        every_s = self._frames.config.exposure.interval_s
         late_s = latest.utc_s - self._preview_due_s
         if -every_s - _CLOCK_RESET_S <= late_s < 0:
             return False

@@ -45,9 +45,10 @@ class LiveFrames:
         image_format: ImageFormat | None,
         seed: int,
     ) -> None:
-        self.config = config
+        self.config = self._begun = config
         self.seed = seed
         self.format, self.sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
+        self._settings: dict[str, float] = {}
         self.output = output
         # What the aircraft knows, where it is written or passed on.
         self.nav: LiveNavigator | None = None
@@ -63,6 +64,16 @@ class LiveFrames:
         self._control: ControlledExposure | None = None
         self._stars_utc_s = 0.0
         self._number = 0
+
+    def use(self, settings: Mapping[str, float]) -> None:
+        """Draw with other values of some keys of the config, whose images have the same format."""
+        if settings == self._settings:
+            return
+        self._settings = dict(settings)
+        self.config = self._begun.override(**settings)
+        summed = self.config.exposure.signal_factor
+        _, self.sensor = fit_format(self.format, self.config.sensor(), summed=summed)
+        self.simulator = self._control = None
 
     def draw(
         self, renderer: Renderer, begins_s: float | None, latest: LatestAttitude, about: Mapping[str, Any]

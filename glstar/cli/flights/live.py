@@ -159,8 +159,9 @@ def live(
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
     injection = injected.injection(endpoint, answers, exports=frames is not None)
-    camera = commanded.component(settings, export, outputs, has_interval=every is not None)
     with ExitStack() as stack:
+        component = commanded.component(settings, export, outputs, image_format=format_, has_interval=every is not None)
+        camera = stack.enter_context(component)
         recorder = None if record is None else stack.enter_context(Recorder(record))
         senders = {"camera": camera, "injector": None if injection is None else injection.injector}
         options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth}
