@@ -103,7 +103,7 @@ class CameraOptions:
         if directory is None:
             raise typer.BadParameter("writes its pictures: add --export DIRECTORY", param_hint="--mavlink-camera")
         if has_interval and not outputs.has_viewers:
-            message = "is the interval of frames without commands; leave it out of --mavlink-camera, or add --video"
+            message = "is the interval of frames without commands; leave it out, or add --video or --foxglove"
             raise typer.BadParameter(message, param_hint="--every")
         from glstar.export.publish.outputs import PageServer  # noqa: PLC0415 - OpenCV
 

@@ -182,11 +182,13 @@ def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bo
     of_window = window.screenshot is not None or window.stats is not None
     if exports and (of_window or window.show is not None or window.headless):
         raise typer.BadParameter(
-            "--export, --latest-frame and --video open no window: --show, --screenshot, --stats belong to a window"
+            "--export, --latest-frame, --video and --foxglove open no window: --show, --screenshot, --stats belong to"
+            " a window"
         )
     if window.headless and not (records or of_window):
         raise typer.BadParameter(
-            "without a window there is nothing to do but --record, --export, --latest-frame, --video or --screenshot",
+            "without a window there is nothing to do but --record, --export, --latest-frame, --video, --foxglove or"
+            " --screenshot",
             param_hint="--headless",
         )
     if window.answers is not None and window.headless and not (exports or of_window):

@@ -33,6 +33,16 @@ Sdp = Annotated[
     typer.Option(help="Write the description of --video rtp://..., which ffplay and VLC open.", show_default=False),
 ]
 
+Foxglove = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PORT|HOST:PORT",
+        help="Show the frames in the Foxglove app, with their truth drawn over them: a WebSocket server, for this"
+        " computer unless HOST names another address; 8765 is the port that Foxglove expects.",
+        show_default=False,
+    ),
+]
+
 
 class OpenOutputs(NamedTuple):
     """Outputs that are open."""
@@ -49,6 +59,7 @@ class LiveOutputs:
     with_truth: WithTruth = False
     video: Video = None
     sdp: Sdp = None
+    foxglove: Foxglove = None
 
     def __post_init__(self) -> None:
         FramePublishing(self.latest_frame, self.with_truth)
@@ -63,7 +74,7 @@ class LiveOutputs:
     @property
     def has_viewers(self) -> bool:
         """Whether people see the frames as they are drawn."""
-        return self.video is not None
+        return self.video is not None or self.foxglove is not None
 
     def check(self) -> None:
         """Raise ConfigError if a name is not valid or a library is missing, before the link is opened."""
@@ -71,6 +82,10 @@ class LiveOutputs:
             from glstar.export.publish.videostream import check_video  # noqa: PLC0415 - OpenCV
 
             check_video(self.video)
+        if self.foxglove is not None:
+            from glstar.export.publish.foxgloveserver import check_foxglove  # noqa: PLC0415 - OpenCV
+
+            check_foxglove(self.foxglove)
 
     def video_facts(self, settings: Config) -> VideoFacts | None:
         """Return what a MAVLink camera states about the video; None without one that a ground station can receive."""
@@ -94,10 +109,17 @@ class LiveOutputs:
             yield OpenOutputs(FrameOutputs(outputs) if outputs else None, FrameOutputs(viewers) if viewers else None)
 
     def _viewers(self, settings: Config, sensor: "Sensor") -> "Iterator[FrameOutput]":
+        exposure = settings.exposure
+        if self.foxglove is not None:
+            from glstar.export.publish.foxgloveserver import FoxgloveServer  # noqa: PLC0415 - OpenCV
+
+            server = FoxgloveServer(self.foxglove, sensor, summed=exposure.signal_factor)
+            host, port = server.address
+            echo_note(f"Foxglove: open the connection ws://{host}:{port}")
+            yield server
         if self.video is not None:
             from glstar.export.publish.videostream import VideoStream  # noqa: PLC0415 - OpenCV
 
-            exposure = settings.exposure
             stream = VideoStream(
                 self.video,
                 settings.camera(),
