@@ -147,7 +147,7 @@ def test_what_foxglove_draws_is_the_truth_of_a_live_link(tmp_path: Path) -> None
         drawn = fields(by_topic["/camera/annotations"][stamp_ns])
         centres = np.array([point(fields(circle)[2][0]) for circle in drawn[1]])
         stars = [star for star in line["stars"] if star["x_px"] is not None]
-        # Foxglove counts from the corner of the top left pixel; 0.01 px is asked for.
+        # Foxglove counts from the corner of the top left pixel; 0.01 px is the tolerance.
         expected = np.array([(star["x_px"], star["y_px"]) for star in stars]) + 0.5
         np.testing.assert_allclose(centres, expected, rtol=0, atol=1e-9)
         strip = fields(drawn[2][0])
