@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from math import floor, inf
+from math import ceil, floor, inf
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -51,6 +51,8 @@ _REPORT_DELAY_S = 3.0
 # Interval at which commands are looked for, s, and the longest time that the attitudes of an exposure may be late, s.
 _COMMAND_POLL_S = 0.005
 _LATE_ATTITUDE_S = 5.0
+# Interval at which exposures that were left out are reported, s.
+_LATE_REPORT_S = 10.0
 # If the clock is set back by more than this, the sequence of exposures restarts at the current time, s.
 _CLOCK_RESET_S = 1.0
 
@@ -64,6 +66,7 @@ class LiveReport:
     skipped: tuple[SkippedFrame, ...]  # Exposures that span a gap
     # For each frame, the time from the arrival of its latest attitude to its pixels and truth being ready, s.
     latency_s: tuple[float, ...] = field(repr=False)
+    late: int = 0  # Exposures by the vehicle's clock that were left out, because frames were drawn too slowly
 
     def latency_quantile_s(self, fraction: float) -> float | None:
         """Return the latency that a fraction of the frames does not exceed, s; None without frames."""
@@ -104,6 +107,8 @@ class LiveExport:
         self._stopping = Event()
         self._drawn: list[int] = []
         self._preview_due_s = -inf
+        self._late = 0
+        self._lacked, self._report_after_s = "", inf
 
     @property
     def exposures(self) -> dict[int | str, Exposure]:
@@ -128,6 +133,7 @@ class LiveExport:
         """
         on_event, on_frame = on_event or (lambda _: None), on_frame or (lambda _: None)
         until_s = inf if duration_s is None else time.monotonic() + duration_s
+        self._report_after_s = time.monotonic() + _REPORT_DELAY_S
         with ExitStack() as locked:
             directory = self._directory
             needs_nav = any(one is not None and one.needs_nav for one in (self._frames.output, self._preview))
@@ -143,14 +149,17 @@ class LiveExport:
                     truth = self._open(directory, locked, force=force)
                     lines = writing.enter_context(truth.open_for_append())
                     writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
-                follow = self._follow if self._link.camera is None else self._obey
+                by_time = self._follow if self._link.clock == "arrival" else self._keep_time
+                follow = by_time if self._link.camera is None else self._obey
                 with suppress(KeyboardInterrupt):
                     follow(renderer, until_s, writer, on_event, on_frame)
                 with defer_interrupts():
                     writing.close()
                     if directory is not None and truth is not None:
                         self._finish(directory, truth, renderer)
-        return LiveReport(directory, len(self._drawn), tuple(self._frames.skipped), tuple(self._frames.latency_s))
+        return LiveReport(
+            directory, len(self._drawn), tuple(self._frames.skipped), tuple(self._frames.latency_s), self._late
+        )
 
     def _finish(self, directory: Path, truth: TruthFile, renderer: Renderer) -> None:
         """Complete the files of the directory."""
@@ -186,9 +195,7 @@ class LiveExport:
         on_frame: Callable[[int], None],
     ) -> None:
         every_s = self._frames.config.exposure.interval_s
-        lacked, due_s = "", -inf
-        before: LatestAttitude | None = None
-        report_after_s = time.monotonic() + _REPORT_DELAY_S
+        due_s, before = -inf, None
         for left_s in self._turns(until_s, writer, on_event):
             now = self._link.latest()
             if now is not None:
@@ -199,10 +206,7 @@ class LiveExport:
             if latest is None or (before is not None and abs(latest.utc_step_s(before)) > _CLOCK_RESET_S):
                 if now is not None and now.utc_s < due_s - every_s - _CLOCK_RESET_S:
                     due_s = -inf
-                lacking = self._lacking()
-                if time.monotonic() > report_after_s and lacking is not None and lacking != lacked:
-                    lacked = lacking
-                    on_event(lacking or "everything that a frame needs is known now")
+                self._report_lack(on_event)
                 continue
             self._skip_missed(due_s, latest)
             frame = self._frames.draw(renderer, None, latest, {})
@@ -212,6 +216,46 @@ class LiveExport:
             due_s = latest.utc_s if due_s == -inf else due_s
             # Exposures that could not be drawn in time are left out, so that a frame always shows the current sky.
             due_s += every_s * (1 + max(floor((latest.utc_s - due_s) / every_s), 0))
+            if isinstance(frame, EncodedFrame):
+                self._keep(frame, renderer, writer, on_event)
+                on_frame(len(self._drawn))
+
+    def _keep_time(
+        self,
+        renderer: Renderer,
+        until_s: float,
+        writer: FrameWriter | None,
+        on_event: Callable[[str], None],
+        on_frame: Callable[[int], None],
+    ) -> None:
+        """Draw exposures that end at whole multiples of the interval by the vehicle's time since boot.
+
+        Of those that are due while another one is drawn the latest is drawn, and the others are counted.
+        """
+        section = self._frames.config.exposure
+        boot, due, said_s = -1, 0, time.monotonic()
+        for left_s in self._turns(until_s, writer, on_event):
+            now = self._link.latest()
+            if now is None:
+                self._report_lack(on_event)
+                self._stopping.wait(min(_POLL_INTERVAL_S, left_s))
+                continue
+            if now.boot != boot:
+                boot, due = now.boot, ceil(now.boot_s / section.interval_s)
+            latest = self._link.wait_for(due * section.interval_s + now.utc_minus_boot_s, min(_POLL_INTERVAL_S, left_s))
+            if latest is None or latest.boot != boot:
+                continue
+            newest = floor(latest.boot_s / section.interval_s)
+            if newest > due:
+                in_gaps = self._skip_missed(due * section.interval_s + latest.utc_minus_boot_s, latest)
+                self._late += max(newest - due - in_gaps, 0)
+                due = newest
+            if self._late and time.monotonic() - said_s > _LATE_REPORT_S:
+                said_s = time.monotonic()
+                on_event(f"{self._late} exposures left out: the vehicle's clock is faster than frames are drawn")
+            stop_s = due * section.interval_s + latest.utc_minus_boot_s
+            frame = self._frames.draw(renderer, stop_s - section.span_s, latest, {})
+            due += 1
             if isinstance(frame, EncodedFrame):
                 self._keep(frame, renderer, writer, on_event)
                 on_frame(len(self._drawn))
@@ -287,22 +331,30 @@ class LiveExport:
             on_event(conditions_report(self._frames.simulator.scene(self._frames.latest_exposure)))
         self._drawn.append(frame.number)
 
-    def _skip_missed(self, due_s: float, latest: LatestAttitude) -> None:
-        """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""
+    def _skip_missed(self, due_s: float, latest: LatestAttitude) -> int:
+        """Count the exposures that were due in a data gap, but not those for which drawing was too slow.
+
+        Returns their number.
+        """
         section = self._frames.config.exposure
         missed = 0 if due_s == -inf else floor((latest.utc_s - due_s) / section.interval_s)
         flight = self._link.flight(latest.utc_s - due_s + section.span_s + CONTEXT_S) if missed > 0 else None
         if flight is None:
-            return
+            return 0
+        before = len(self._frames.skipped)
         for stop_s in due_s + section.interval_s * np.arange(missed):
             gap = flight.attitude.gap_within(stop_s - section.span_s, stop_s)
             if gap is not None:
                 self._frames.skip(stop_s - section.span_s, gap)
+        return len(self._frames.skipped) - before
 
-    def _lacking(self) -> str | None:
-        """Return what is missing to draw a frame, empty if nothing is; None while the link has timed out."""
+    def _report_lack(self, on_event: Callable[[str], None]) -> None:
+        """Report what is missing to draw a frame, once, and that nothing is any more; not while the link times out."""
         status = self._link.status()
-        return "; ".join(status.missing) if status.state == "live" else None
+        lacking = "; ".join(status.missing)
+        if time.monotonic() > self._report_after_s and status.state == "live" and lacking != self._lacked:
+            self._lacked = lacking
+            on_event(lacking or "everything that a frame needs is known now")
 
     # --- the directory ------------------------------------------------------------------------------------------------
 

@@ -86,14 +86,12 @@ class CameraOptions:
         settings: Config,
         directory: Path | None,
         outputs: LiveOutputs,
-        *,
         image_format: "ImageFormat | None",
-        has_interval: bool,
+        every_s: float | None,
     ) -> Iterator[CameraComponent | None]:
         """Serve the definition of the camera of the config, whose pictures lie in a directory; None without one.
 
-        `outputs`: where its video goes; `has_interval`: whether the command line gives the interval of frames without
-        commands.
+        `outputs`: where its video goes; `every_s`: the interval of frames without commands of the command line.
         """
         if not self.mavlink_camera:
             if self.camera_id is not None or self.camera_delay is not None:
@@ -102,7 +100,7 @@ class CameraOptions:
             return
         if directory is None:
             raise typer.BadParameter("writes its pictures: add --export DIRECTORY", param_hint="--mavlink-camera")
-        if has_interval and not outputs.has_viewers:
+        if every_s is not None and not outputs.has_viewers:
             message = "is the interval of frames without commands; leave it out, or add --video or --foxglove"
             raise typer.BadParameter(message, param_hint="--every")
         from glstar.export.publish.outputs import PageServer  # noqa: PLC0415 - OpenCV

@@ -20,7 +20,7 @@ from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.link import Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
+from glstar.link import Clock, Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.history import SIMULATOR_NAMES
 from glstar.link.packets import dialect
 from glstar.link.status import GIMBAL_LACK
@@ -65,6 +65,13 @@ TruthOf = Annotated[
     typer.Option(
         help="What the sky is drawn from: the autopilot's estimate, or a simulator's own state (SIM_STATE,"
         " HIL_STATE_QUATERNION or SIMSTATE); nav.jsonl of --export then has the estimate.",
+    ),
+]
+ClockOf = Annotated[
+    Clock,
+    typer.Option(
+        help="When frames end: arrival, at the latest attitude; vehicle, at whole multiples of --every by the vehicle's"
+        " clock, for simulators that are faster than real time, paused or set back.",
     ),
 ]
 Answers = Annotated[
@@ -128,6 +135,7 @@ def live(
     flags: FlightFlags,
     utc_now: UtcNow = False,
     truth: TruthOf = "estimator",
+    clock: ClockOf = "arrival",
     injected: InjectionOptions,
     answers: Answers = None,
     commanded: CameraOptions,
@@ -151,7 +159,7 @@ def live(
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
     frames = _ExportOptions.of(export, outputs, format_, seed, force)
-    _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
+    _refuse_contradictions(window, clock, exports=frames is not None, records=record is not None, duration_s=duration)
     with exit_on_interrupt():
         _import_libraries(draws=frames is not None)
         outputs.check()
@@ -160,12 +168,11 @@ def live(
     endpoint = Endpoint.parse(link)
     injection = injected.injection(endpoint, answers, exports=frames is not None)
     with ExitStack() as stack:
-        component = commanded.component(settings, export, outputs, image_format=format_, has_interval=every is not None)
-        camera = stack.enter_context(component)
+        camera = stack.enter_context(commanded.component(settings, export, outputs, format_, every))
         recorder = None if record is None else stack.enter_context(Recorder(record))
         senders = {"camera": camera, "injector": None if injection is None else injection.injector}
-        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth}
-        opened = stack.enter_context(_open(endpoint, settings, **options, **senders))
+        reception = {"rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth, "clock": clock}
+        opened = stack.enter_context(_open(endpoint, settings, utc_now=utc_now, **reception, **senders))
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
         report = _follow(opened, settings, window, frames, injection, duration)
@@ -178,7 +185,12 @@ def live(
     typer.echo(json.dumps(summary) if as_json else _text(summary))
 
 
-def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bool, duration_s: float | None) -> None:
+def _refuse_contradictions(
+    window: _WindowOptions, clock: Clock, *, exports: bool, records: bool, duration_s: float | None
+) -> None:
+    if clock == "vehicle" and not exports:
+        message = "times frames: add --export, --latest-frame, --video or --foxglove"
+        raise typer.BadParameter(message, param_hint="--clock")
     of_window = window.screenshot is not None or window.stats is not None
     if exports and (of_window or window.show is not None or window.headless):
         raise typer.BadParameter(
@@ -297,7 +309,8 @@ def _export(
         report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
         injector = None if injection is None else injection.injector
         injected = {} if injector is None else {"injected": injector.sent, "not_injected": injector.refused}
-        return {**_export_summary(report), **injected}
+        late = {"late": report.late} if link.clock == "vehicle" else {}
+        return {**_export_summary(report), **late, **injected}
 
 
 def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:
@@ -367,6 +380,8 @@ def _text(summary: dict[str, object]) -> str:
     if "injected" in summary:
         refused = f", {summary['not_injected']} refused" if summary["not_injected"] else ""
         lines.append(f"{summary['injected']} positions sent to the autopilot{refused}")
+    if summary.get("late"):
+        lines.append(f"{summary['late']} left out: the vehicle's clock is faster than frames are drawn")
     skipped = summary.get("skipped")
     if isinstance(skipped, dict):
         lines += [f"{count} skipped, their exposures met {reason}" for reason, count in skipped.items()]

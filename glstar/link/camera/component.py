@@ -105,9 +105,7 @@ class _Now(NamedTuple):
     @classmethod
     def of(cls, receiver: Receiver, host_s: float, sender: Sender) -> Self:
         """Return the time of an arrival by `time.monotonic`, s, on the vehicle's clocks."""
-        utc_minus_host_s, host_minus_boot_s = receiver.clock.utc_minus_host_s, receiver.clock.host_minus_boot_s
-        boot_s = 0.0 if host_minus_boot_s is None else max(host_s - host_minus_boot_s, 0.0)
-        utc_s = None if utc_minus_host_s is None else host_s + utc_minus_host_s
+        utc_s, boot_s = receiver.clock.now(host_s)
         boot_ms = round(boot_s * 1e3) % 2**32
         return cls(host_s, utc_s, boot_ms, receiver.above_home_m, sender, receiver.gimbal.device)
 
