@@ -76,10 +76,10 @@ class Plane:
             self.rates[1] * np.cos(roll) + turn * np.sin(roll) * np.cos(pitch),
             turn * np.cos(roll) * np.cos(pitch) - self.rates[1] * np.sin(roll),
         ]
-        felt = (self.velocity() - before) / dt_s - [0.0, 0.0, GRAVITY]
+        force = (self.velocity() - before) / dt_s - [0.0, 0.0, GRAVITY]
         return {
             "timestamp": self.t_s,
-            "imu": {"gyro": gyro, "accel_body": (matrix_from_quaternion(self.q_body_ned()) @ felt).tolist()},
+            "imu": {"gyro": gyro, "accel_body": (matrix_from_quaternion(self.q_body_ned()) @ force).tolist()},
             "position": self.position.tolist(),
             "attitude": self.angles.tolist(),
             "velocity": self.velocity().tolist(),
