@@ -356,7 +356,7 @@ class CameraComponent:
         maker = self._makers.get(int(number)) if isfinite(number) else None
         if maker is None:
             return int(m.MAV_RESULT_UNSUPPORTED)
-        # MAVSDK leaves the number of the stream open: NaN.
+        # A number that a station leaves open is NaN in MAVLink.
         if number in self._of_streams and isfinite(parameter) and parameter not in {0, _STREAM_ID}:
             return int(m.MAV_RESULT_DENIED)
         if now is not None:
