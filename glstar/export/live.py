@@ -2,11 +2,11 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
-from math import floor, inf
+from math import ceil, floor, inf
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from glstar import __version__
-from glstar.camera.exposure import ControlledExposure, Exposure
+from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.directory import (
@@ -24,17 +24,16 @@ from glstar.export.directory import (
     refuse_links,
     remove_own_files,
 )
-from glstar.export.frame import EncodedFrame, FrameTask, FrameWriter
-from glstar.export.imagefiles.formats import ImageFormat, find_damage, fit_format
+from glstar.export.frame import EncodedFrame, FrameWriter
+from glstar.export.imagefiles.formats import ImageFormat, find_damage
+from glstar.export.liveframes import CONTEXT_S, LiveFrames
 from glstar.export.navigator import LiveNavigator, finish_nav
-from glstar.export.plan.frames import ControlledFrames, FlightFrames, Plan, PlannedFrame, SkippedFrame, level_of
+from glstar.export.plan.frames import SkippedFrame
 from glstar.export.plan.manifest import NAME, SCHEMA, described_brightness, holds_frames, read_manifest, write_manifest
-from glstar.export.publish.outputs import FrameOutput, MjpegServer
-from glstar.export.publish.stream import FrameStream
+from glstar.export.publish.outputs import FrameOutput
 from glstar.export.run.export import remove_leftovers
 from glstar.export.truth.lines import TruthFile, is_unfinished, parse_frame
-from glstar.flight import Flight, Gap
-from glstar.link import CapturedImage, Estimate, LatestAttitude, Link
+from glstar.link import CapturedImage, LatestAttitude, Link
 from glstar.link.camera import Capture
 from glstar.render.scene.scene import Renderer
 from glstar.render.simulator import Simulator
@@ -45,8 +44,6 @@ from glstar.sky.place.timescale import described_earth_orientation, format_utc
 from glstar.system.files import make_directory
 from glstar.system.process import defer_interrupts
 
-# Part of the flight before the exposure that is read too, s: its median sample interval decides what counts as a gap.
-_CONTEXT_S = 5.0
 # Interval at which events of the link are reported while no exposure is due, s.
 _POLL_INTERVAL_S = 0.1
 # Time for site, UTC and attitude to arrive before missing ones are reported, s.
@@ -54,12 +51,10 @@ _REPORT_DELAY_S = 3.0
 # Interval at which commands are looked for, s, and the longest time that the attitudes of an exposure may be late, s.
 _COMMAND_POLL_S = 0.005
 _LATE_ATTITUDE_S = 5.0
+# Interval at which exposures that were left out are reported, s.
+_LATE_REPORT_S = 10.0
 # If the clock is set back by more than this, the sequence of exposures restarts at the current time, s.
 _CLOCK_RESET_S = 1.0
-# Exposures that answers may be for: an hour at ten frames a second, each twice.
-_MOST_EXPOSURES = 72_000
-# Time after which apparent star directions are computed again, s: they change by 0.03" per hour.
-_STARS_VALID_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +66,7 @@ class LiveReport:
     skipped: tuple[SkippedFrame, ...]  # Exposures that span a gap
     # For each frame, the time from the arrival of its latest attitude to its pixels and truth being ready, s.
     latency_s: tuple[float, ...] = field(repr=False)
+    late: int = 0  # Exposures by the vehicle's clock that were left out, because frames were drawn too slowly
 
     def latency_quantile_s(self, fraction: float) -> float | None:
         """Return the latency that a fraction of the frames does not exceed, s; None without frames."""
@@ -82,10 +78,10 @@ class LiveExport:
 
     `link`: an open link; the caller closes it; if it has a camera, exposures begin as commanded; if its sky is a
     simulator's truth, ``nav.jsonl`` has what the autopilot estimates; `directory`: the output directory; nothing is
-    written if None; `output`: receives each frame; the caller closes it; `image_format` {"png", "png16", "tiff",
+    written if None; `output`: receives each frame; `preview`: between commanded pictures, receives a frame every
+    interval, which is not written; the caller closes both; `image_format` {"png", "png16", "tiff",
     "fits", "jpeg"}, optional: none for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits; `seed`: the seed
-    from which the noise seed of every frame is derived; `command`: the command line, for the manifest.  `exposures`: of
-    the latest frames, by number and by the name of the image.
+    from which the noise seed of every frame is derived; `command`: the command line, for the manifest.
     """
 
     def __init__(
@@ -95,30 +91,29 @@ class LiveExport:
         *,
         directory: Path | None = None,
         output: FrameOutput | None = None,
+        preview: FrameOutput | None = None,
         image_format: ImageFormat | None = None,
         seed: int = 0,
         command: str = "glstar live",
     ) -> None:
-        self._config = config
         self._link = link
         self._directory = directory
-        self._output = output
-        self._seed = seed
+        self._preview = preview
         self._command = command
         self._writes_nav = directory is not None and link.truth == "sim_state"
-        self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
-        self._nav: LiveNavigator | None = None
-        self._simulator: Simulator | None = None
-        self._control: ControlledExposure | None = None
-        self._stars_utc_s = 0.0
-        self.exposures: dict[int | str, Exposure] = {}
-        self._latest_exposure = config.exposure.starting_at(0.0)
+        self._frames = LiveFrames(
+            config, link, directory=directory, output=output, image_format=image_format, seed=seed
+        )
         self._stopping = Event()
-        self._number = 0
         self._drawn: list[int] = []
-        self._skipped: list[SkippedFrame] = []
-        self._latency_s: list[float] = []
-        self._first_utc_s: float | None = None
+        self._preview_due_s = -inf
+        self._late = 0
+        self._lacked, self._report_after_s = "", inf
+
+    @property
+    def exposures(self) -> dict[int | str, Exposure]:
+        """The exposures of the latest frames, by number and by the name of the image."""
+        return self._frames.exposures
 
     def run(
         self,
@@ -138,10 +133,14 @@ class LiveExport:
         """
         on_event, on_frame = on_event or (lambda _: None), on_frame or (lambda _: None)
         until_s = inf if duration_s is None else time.monotonic() + duration_s
+        self._report_after_s = time.monotonic() + _REPORT_DELAY_S
         with ExitStack() as locked:
             directory = self._directory
-            if self._writes_nav or isinstance(self._output, FrameStream | MjpegServer):
-                self._nav = locked.enter_context(closing(LiveNavigator(self._config, directory, duration_s)))
+            needs_nav = any(one is not None and one.needs_nav for one in (self._frames.output, self._preview))
+            if self._writes_nav or needs_nav:
+                self._frames.nav = locked.enter_context(
+                    closing(LiveNavigator(self._frames.config, directory, duration_s))
+                )
             truth = None
             with ExitStack() as writing:
                 writer = None
@@ -150,21 +149,24 @@ class LiveExport:
                     truth = self._open(directory, locked, force=force)
                     lines = writing.enter_context(truth.open_for_append())
                     writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
-                follow = self._follow if self._link.camera is None else self._obey
+                by_time = self._follow if self._link.clock == "arrival" else self._keep_time
+                follow = by_time if self._link.camera is None else self._obey
                 with suppress(KeyboardInterrupt):
                     follow(renderer, until_s, writer, on_event, on_frame)
                 with defer_interrupts():
                     writing.close()
                     if directory is not None and truth is not None:
                         self._finish(directory, truth, renderer)
-        return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
+        return LiveReport(
+            directory, len(self._drawn), tuple(self._frames.skipped), tuple(self._frames.latency_s), self._late
+        )
 
     def _finish(self, directory: Path, truth: TruthFile, renderer: Renderer) -> None:
         """Complete the files of the directory."""
         self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
         self._write_manifest(directory, renderer)
-        if self._nav is not None and self._writes_nav:
-            self._nav.finish(truth.numbers)
+        if self._frames.nav is not None and self._writes_nav:
+            self._frames.nav.finish(truth.numbers)
         truth.finish(truth.numbers)
 
     def stop(self) -> None:
@@ -192,10 +194,8 @@ class LiveExport:
         on_event: Callable[[str], None],
         on_frame: Callable[[int], None],
     ) -> None:
-        every_s = self._config.exposure.interval_s
-        lacked, due_s = "", -inf
-        before: LatestAttitude | None = None
-        report_after_s = time.monotonic() + _REPORT_DELAY_S
+        every_s = self._frames.config.exposure.interval_s
+        due_s, before = -inf, None
         for left_s in self._turns(until_s, writer, on_event):
             now = self._link.latest()
             if now is not None:
@@ -206,19 +206,56 @@ class LiveExport:
             if latest is None or (before is not None and abs(latest.utc_step_s(before)) > _CLOCK_RESET_S):
                 if now is not None and now.utc_s < due_s - every_s - _CLOCK_RESET_S:
                     due_s = -inf
-                lacking = self._lacking()
-                if time.monotonic() > report_after_s and lacking is not None and lacking != lacked:
-                    lacked = lacking
-                    on_event(lacking or "everything that a frame needs is known now")
+                self._report_lack(on_event)
                 continue
             self._skip_missed(due_s, latest)
-            frame = self._draw(renderer, None, latest, {})
+            frame = self._frames.draw(renderer, None, latest, {})
             if frame is None:
                 due_s = latest.utc_s + _POLL_INTERVAL_S
                 continue
             due_s = latest.utc_s if due_s == -inf else due_s
             # Exposures that could not be drawn in time are left out, so that a frame always shows the current sky.
             due_s += every_s * (1 + max(floor((latest.utc_s - due_s) / every_s), 0))
+            if isinstance(frame, EncodedFrame):
+                self._keep(frame, renderer, writer, on_event)
+                on_frame(len(self._drawn))
+
+    def _keep_time(
+        self,
+        renderer: Renderer,
+        until_s: float,
+        writer: FrameWriter | None,
+        on_event: Callable[[str], None],
+        on_frame: Callable[[int], None],
+    ) -> None:
+        """Draw exposures that end at whole multiples of the interval by the vehicle's time since boot.
+
+        Of those that are due while another one is drawn the latest is drawn, and the others are counted.
+        """
+        section = self._frames.config.exposure
+        boot, due, said_s = -1, 0, time.monotonic()
+        for left_s in self._turns(until_s, writer, on_event):
+            now = self._link.latest()
+            if now is None:
+                self._report_lack(on_event)
+                self._stopping.wait(min(_POLL_INTERVAL_S, left_s))
+                continue
+            if now.boot != boot:
+                boot, due = now.boot, ceil(now.boot_s / section.interval_s)
+            latest = self._link.wait_for(due * section.interval_s + now.utc_minus_boot_s, min(_POLL_INTERVAL_S, left_s))
+            if latest is None or latest.boot != boot:
+                continue
+            newest = floor(latest.boot_s / section.interval_s)
+            if newest > due:
+                in_gaps = self._skip_missed(due * section.interval_s + latest.utc_minus_boot_s, latest)
+                self._late += max(newest - due - in_gaps, 0)
+                due = newest
+            if self._late and time.monotonic() - said_s > _LATE_REPORT_S:
+                said_s = time.monotonic()
+                on_event(f"{self._late} exposures left out: the vehicle's clock is faster than frames are drawn")
+            stop_s = due * section.interval_s + latest.utc_minus_boot_s
+            frame = self._frames.draw(renderer, stop_s - section.span_s, latest, {})
+            due += 1
             if isinstance(frame, EncodedFrame):
                 self._keep(frame, renderer, writer, on_event)
                 on_frame(len(self._drawn))
@@ -234,15 +271,17 @@ class LiveExport:
         """Draw the exposures that are commanded, each as soon as its attitudes have arrived."""
         camera = self._link.camera
         assert camera is not None
-        span_s = self._config.exposure.span_s
         for left_s in self._turns(until_s, writer, on_event):
             capture = camera.next()
             if capture is None:
-                self._stopping.wait(min(_COMMAND_POLL_S, left_s))
+                if not self._show(renderer):
+                    self._stopping.wait(min(_COMMAND_POLL_S, left_s))
                 continue
+            self._frames.use(capture.settings)
+            span_s = self._frames.config.exposure.span_s
             stop_s = capture.start_utc_s + span_s
             latest = self._link.wait_for(stop_s, min(span_s + _LATE_ATTITUDE_S, left_s))
-            frame = None if latest is None else self._draw(renderer, capture.start_utc_s, latest, capture.about)
+            frame = None if latest is None else self._frames.draw(renderer, capture.start_utc_s, latest, capture.about)
             if not isinstance(frame, EncodedFrame):
                 why = f"it meets {frame.reason}" if isinstance(frame, SkippedFrame) else "its attitude did not arrive"
                 on_event(f"picture {capture.index} of {capture.command} was not taken: {why}")
@@ -251,10 +290,28 @@ class LiveExport:
             self._keep(frame, renderer, writer, on_event)
             if writer is not None:
                 deque(writer.drain(), maxlen=0)  # a picture is reported once its file has its name
-            assert self._simulator is not None
-            image = self._task().image_path(frame.number)
-            camera.captured(_captured_image(capture, self._simulator, span_s, image))
+            assert self._frames.simulator is not None
+            image = self._frames.task().image_path(frame.number)
+            camera.captured(_captured_image(capture, self._frames.simulator, span_s, image))
             on_frame(len(self._drawn))
+
+    def _show(self, renderer: Renderer) -> bool:
+        """Draw what viewers see between the pictures, if it is due; return whether it was drawn."""
+        latest, camera = self._link.latest(), self._link.camera
+        if self._preview is None or latest is None or camera is None:
+            return False
+        self._frames.use(camera.settings)
+        every_s = self._frames.config.exposure.interval_s
+        late_s = latest.utc_s - self._preview_due_s
+        if -every_s - _CLOCK_RESET_S <= late_s < 0:
+            return False
+        shown = self._frames.show(renderer, latest, self._preview)
+        # On the grid of the intervals, unless it is late, or the clock was set back.
+        on_time = shown and 0 <= late_s < every_s
+        self._preview_due_s = (self._preview_due_s if on_time else latest.utc_s) + (
+            every_s if shown else _POLL_INTERVAL_S
+        )
+        return shown
 
     def _keep(
         self,
@@ -267,124 +324,37 @@ class LiveExport:
         if writer is not None and self._directory is not None:
             if not self._drawn:
                 self._write_manifest(self._directory, renderer)
-            self._task().write(frame, partial(writer.stage, frame.number))
+            self._frames.task().write(frame, partial(writer.stage, frame.number))
             deque(writer.add(frame.number, frame.truth), maxlen=0)
         if not self._drawn:
-            assert self._simulator is not None
-            on_event(conditions_report(self._simulator.scene(self._latest_exposure)))
+            assert self._frames.simulator is not None
+            on_event(conditions_report(self._frames.simulator.scene(self._frames.latest_exposure)))
         self._drawn.append(frame.number)
 
-    def _skip_missed(self, due_s: float, latest: LatestAttitude) -> None:
-        """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""
-        section = self._config.exposure
+    def _skip_missed(self, due_s: float, latest: LatestAttitude) -> int:
+        """Count the exposures that were due in a data gap, but not those for which drawing was too slow.
+
+        Returns their number.
+        """
+        section = self._frames.config.exposure
         missed = 0 if due_s == -inf else floor((latest.utc_s - due_s) / section.interval_s)
-        flight = self._link.flight(latest.utc_s - due_s + section.span_s + _CONTEXT_S) if missed > 0 else None
+        flight = self._link.flight(latest.utc_s - due_s + section.span_s + CONTEXT_S) if missed > 0 else None
         if flight is None:
-            return
+            return 0
+        before = len(self._frames.skipped)
         for stop_s in due_s + section.interval_s * np.arange(missed):
             gap = flight.attitude.gap_within(stop_s - section.span_s, stop_s)
             if gap is not None:
-                self._skip(stop_s - section.span_s, gap)
+                self._frames.skip(stop_s - section.span_s, gap)
+        return len(self._frames.skipped) - before
 
-    def _skip(self, start_s: float, gap: Gap) -> SkippedFrame:
-        number, self._number = self._number, self._number + 1
-        self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
-        skipped = SkippedFrame(number, round(start_s - self._first_utc_s, 6), gap.reason, round(gap.duration_s, 6))
-        self._skipped.append(skipped)
-        return skipped
-
-    def _draw(
-        self, renderer: Renderer, begins_s: float | None, latest: LatestAttitude, about: Mapping[str, Any]
-    ) -> EncodedFrame | SkippedFrame | None:
-        """Return a frame; None if the flight does not have its exposure.
-
-        `begins_s`: start of the exposure, UTC s; None if it ends at the latest attitude; `about`: further keys of its
-        truth.
-        """
-        section = self._config.exposure
-        back_s = section.span_s if begins_s is None else latest.utc_s - begins_s
-        flight, estimate = self._link.flight_and_estimate(back_s + _CONTEXT_S)
-        if flight is None or (estimate is None and self._nav is not None and self._link.truth == "sim_state"):
-            return None
-        track = flight.attitude
-        # With an exposure control, of its longest exposure.
-        start_s = track.last_s - section.span_s if begins_s is None else begins_s
-        stop_s = start_s + section.span_s
-        if start_s < track.first_s or stop_s > track.last_s:
-            return None
-        gap = track.gap_within(start_s, stop_s)
-        if gap is None and estimate is not None:
-            if start_s < estimate.attitude.first_s:
-                return None
-            gap = estimate.attitude.gap_within(start_s, stop_s)
-        if gap is not None:
-            return self._skip(start_s, gap)
-        self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
-        number, self._number = self._number, self._number + 1
-        self._simulator = self._simulator_of(flight)
-        planned = PlannedFrame(number, section.starting_at(start_s), about)
-        self._latest_exposure = planned.exposure
-        task = self._task(planned)
-        if section.exposure_control is not None:
-            task = self._controlled(task, planned, None if begins_s is None else start_s)
-        shot = task.frames.shot(number)
-        image = task.image_path(number)
-        record: dict[str, Any] = {}
-        if self._nav is not None:
-            # Without a simulator's state the flight itself is what the autopilot estimates.
-            estimate = estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
-            file = image.relative_to(task.directory).as_posix()
-            shown = self._simulator.flight
-            record = self._nav.record(estimate, shot.exposure, number=number, file=file, flight=shown, gain=shot.gain)
-
-        def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
-            if self._control is not None:
-                level = level_of(self._control.control, shot.exposure, self._sensor, pixels)
-                self._control = self._control.after(level)
-            if self._output is not None:
-                self._output.write(pixels, truth, record)
-            self._latency_s.append(time.monotonic() - latest.arrival_s)
-
-        self.exposures |= dict.fromkeys((number, image.name), shot.exposure)
-        while len(self.exposures) > _MOST_EXPOSURES:
-            del self.exposures[next(iter(self.exposures))]
-        frame = task.draw(renderer, number, on_pixels=publish)
-        if self._nav is not None and self._writes_nav:
-            self._nav.write(record)
-        return frame
-
-    def _simulator_of(self, flight: Flight) -> Simulator:
-        """Return a simulator of the flight, with the stars of an earlier one that is less than an hour old."""
-        now_s = flight.attitude.last_s
-        if self._simulator is None or abs(now_s - self._stars_utc_s) > _STARS_VALID_S:
-            self._stars_utc_s = now_s
-            return self._config.simulator(flight, sensor=self._sensor)
-        return self._simulator.with_flight(flight)
-
-    def _task(self, *planned: PlannedFrame) -> FrameTask:
-        assert self._simulator is not None
-        frames = FlightFrames(self._simulator, Plan(planned, ()), self._config.exposure.exposure_control)
-        return FrameTask(frames, self._directory or Path(), self._format, noiseless=False, seed=self._seed)
-
-    def _controlled(self, task: FrameTask, planned: PlannedFrame, begins_s: float | None) -> FrameTask:
-        """Return the task with the exposure time and gain of the exposure control.
-
-        `begins_s`: when the exposure begins, UTC s; None if it ends when the planned one does.
-        """
-        shot = task.frames.shot(planned.number)
-        if self._control is None:
-            assert shot.control is not None
-            self._control = ControlledExposure.begun(shot.control, shot.sensor_gain)
-        duration_s, gain = self._control.settings
-        start_s = planned.exposure.stop_utc_s - shot.exposure.shortened(duration_s).span_s
-        exposure = replace(planned.exposure, start_utc_s=start_s if begins_s is None else begins_s)
-        task = self._task(replace(planned, exposure=exposure))
-        return replace(task, frames=ControlledFrames(task.frames, {planned.number: (duration_s, gain)}))
-
-    def _lacking(self) -> str | None:
-        """Return what is missing to draw a frame, empty if nothing is; None while the link has timed out."""
+    def _report_lack(self, on_event: Callable[[str], None]) -> None:
+        """Report what is missing to draw a frame, once, and that nothing is any more; not while the link times out."""
         status = self._link.status()
-        return "; ".join(status.missing) if status.state == "live" else None
+        lacking = "; ".join(status.missing)
+        if time.monotonic() > self._report_after_s and status.state == "live" and lacking != self._lacked:
+            self._lacked = lacking
+            on_event(lacking or "everything that a frame needs is known now")
 
     # --- the directory ------------------------------------------------------------------------------------------------
 
@@ -404,12 +374,12 @@ class LiveExport:
 
     def _write_manifest(self, directory: Path, renderer: Renderer) -> None:
         """Write the manifest, with the keys of `manifest.describe`."""
-        config, simulator = self._config, self._simulator
+        config, simulator = self._frames.config, self._frames.simulator
         flight: dict[str, Any] = {"name": self._link.endpoint.text, "vehicle": self._link.status().vehicle}
-        if simulator is not None and self._first_utc_s is not None:
+        if simulator is not None and self._frames.first_utc_s is not None:
             shown = simulator.flight
             flight |= {
-                "first_utc": format_utc(self._first_utc_s),
+                "first_utc": format_utc(self._frames.first_utc_s),
                 "last_utc": format_utc(shown.attitude.last_s),
                 "attitude": shown.attitude_source,
                 "position": shown.position_source,
@@ -421,16 +391,16 @@ class LiveExport:
             "command": self._command,
             "flight": flight,
             "config": config.resolved(),
-            "sensor": self._sensor.keys,
+            "sensor": self._frames.sensor.keys,
             "catalogue": {"name": config.sky.catalogue, "sha256": StarCatalogue.open(config.sky.catalogue).sha256},
             **described_brightness(config),
-            **(described_earth_orientation(self._first_utc_s or 0.0) if config.sky.dut1_s is None else {}),
+            **(described_earth_orientation(self._frames.first_utc_s or 0.0) if config.sky.dut1_s is None else {}),
             "start_s": 0.0,
-            "format": self._format,
+            "format": self._frames.format,
             "light": False,
-            "seed": self._seed,
+            "seed": self._frames.seed,
             "frames": len(self._drawn),
-            "skipped": [asdict(frame) for frame in self._skipped],
+            "skipped": [asdict(frame) for frame in self._frames.skipped],
             "renderer": renderer.driver,
         }
         write_manifest(directory, manifest)

@@ -33,7 +33,7 @@ from glstar.link.history import Estimate
 from glstar.link.outgoing import InjectedMessage, Injector, PositionFix
 from glstar.link.packets import Framer, Packet, Recorder, carried_rate_hz
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
-from glstar.link.supervisor import Link, Truth
+from glstar.link.supervisor import Clock, Link, Truth
 from glstar.link.transport import Transport, open_transport, serial_ports
 from glstar.link.vehicle import Vehicle
 
@@ -42,6 +42,7 @@ __all__ = [
     "CameraComponent",
     "CameraFacts",
     "CapturedImage",
+    "Clock",
     "Endpoint",
     "Estimate",
     "Framer",

@@ -31,6 +31,8 @@ _REBOOT_S = 5.0
 _REBOOT_TIMEOUT_S = 0.5
 # There are two vehicles if both clocks are received for this time, s.
 _TWO_CLOCKS_S = 2.0
+# A simulator has stepped back by more than packets overtake each other, or ahead by more than a gap in its data, s.
+_REWIND_S, _JUMP_S = 0.5, 60.0
 # time_boot_ms has 32 bits: 49.7 days.
 _WRAP_S = 2**32 / 1000
 
@@ -40,12 +42,14 @@ class BootClock:
 
     `utc_minus_host_s`, UTC minus `time.monotonic`, s, is used if the autopilot has no UTC; `host_source` names it in
     messages.  `start_utc_s`, UTC of the first packet with a time since boot, seconds since 1970, replaces the UTC of
-    the autopilot.
+    the autopilot.  `is_vehicle_time`: whether only the vehicle's own clock counts, as of a simulator that is
+    faster than the computer's, paused, or set back; see `_has_jumped`.
     """
 
     def __init__(
         self,
         *,
+        is_vehicle_time: bool = False,
         utc_minus_host_s: float | None = None,
         host_source: str = COMPUTER_CLOCK,
         start_utc_s: float | None = None,
@@ -54,6 +58,9 @@ class BootClock:
         self._host_source = host_source
         self._start_utc_s = start_utc_s
         self._overrides = start_utc_s is not None
+        self.is_vehicle_time = is_vehicle_time
+        # Time since boot of a packet that is not from the time before, s.
+        self._jumped_s: float | None = None
         # Number of the boot, from 0.
         self.boot = 0
         # UTC minus the time since the previous boot, s, at the end of that boot; None if unknown.
@@ -69,6 +76,8 @@ class BootClock:
         self._read_s: deque[float] = deque(maxlen=_READINGS)
         # Start of each window, and smallest difference of arrival and time since boot in it.
         self._smallest_delay_s: deque[tuple[float, float]] = deque(maxlen=_WINDOWS)
+        # UTC minus time since boot, if it is not from the link and only the vehicle's clock counts.
+        self._utc_minus_boot_s: float | None = None
         # UTC minus the computer's clock, by SYSTEM_TIME of other systems.
         self._others_s: deque[float] = deque(maxlen=_READINGS)
 
@@ -85,7 +94,10 @@ class BootClock:
         is still received.
         """
         unwrapped_s = boot_s + self._wraps * _WRAP_S
-        if self._latest_s is not None:
+        if self.is_vehicle_time:
+            if self._latest_s is not None and not self._has_jumped(boot_s):
+                return None
+        elif self._latest_s is not None:
             elapsed_s = arrival_s - self._arrival_s
             if unwrapped_s + _WRAP_S < self._latest_s + elapsed_s + _REBOOT_S:
                 self._wraps += 1
@@ -98,12 +110,42 @@ class BootClock:
                 self._begin_boot()
                 unwrapped_s = boot_s
         self._arrival_s = arrival_s
+        if self.is_vehicle_time:
+            self._smallest_delay_s.clear()  # the computer's clock has another rate: the latest packet alone counts
         self._latest_s = unwrapped_s if self._latest_s is None else max(unwrapped_s, self._latest_s)
         if self._start_utc_s is not None:
             self._utc_minus_host_s = self._start_utc_s - arrival_s
             self._start_utc_s = None
         self._add_delay(arrival_s - unwrapped_s, arrival_s)
+        if self.is_vehicle_time and self._utc_minus_boot_s is None and self._utc_minus_host_s is not None:
+            self._utc_minus_boot_s = arrival_s - unwrapped_s + self._utc_minus_host_s
         return unwrapped_s
+
+    def _has_jumped(self, boot_s: float) -> bool:
+        """Begin another boot at the second of two packets that agree on another time; return whether a packet counts.
+
+        A packet that was delayed for long is alone with its time.
+        """
+        assert self._latest_s is not None
+        if -_REWIND_S <= boot_s - self._latest_s <= _JUMP_S:
+            self._jumped_s = None
+            return True
+        before_s, self._jumped_s = self._jumped_s, boot_s
+        if before_s is None or not -_REWIND_S <= boot_s - before_s <= _JUMP_S:
+            return False
+        self._jumped_s = None
+        self._begin_boot()
+        return True
+
+    def now(self, host_s: float) -> tuple[float | None, float]:
+        """Return UTC, s since 1970, and the time since boot, s, at a time by `time.monotonic`, s.
+
+        UTC is None if it is unknown.  The time of a vehicle stands still between its packets if only its clock counts.
+        """
+        host_s = min(host_s, self._arrival_s) if self.is_vehicle_time else host_s
+        boot_s = 0.0 if self.host_minus_boot_s is None else max(host_s - self.host_minus_boot_s, 0.0)
+        utc_minus_host_s = self.utc_minus_host_s
+        return None if utc_minus_host_s is None else host_s + utc_minus_host_s, boot_s
 
     def read_utc(self, boot_s: float, utc_s: float) -> None:
         """Add a reading of UTC, seconds since 1970, at a time since boot without wraps, s.
@@ -161,6 +203,8 @@ class BootClock:
         host_s = self.host_minus_boot_s
         if host_s is None:
             return None, None
+        if self._utc_minus_boot_s is not None:
+            return self._utc_minus_boot_s, self._host_source
         if self._utc_minus_host_s is not None:
             return host_s + self._utc_minus_host_s, self._host_source
         if self._others_s:
@@ -171,7 +215,8 @@ class BootClock:
         """Begin another boot; until the autopilot sends UTC again, UTC is continued by the computer's clock."""
         utc_minus_boot_s, host_s = self.utc_minus_boot_s, self.host_minus_boot_s
         self.utc_minus_boot_before_s = utc_minus_boot_s
-        if utc_minus_boot_s is not None and host_s is not None and not self._overrides:
+        # A simulator states its UTC again; the computer's clock does not continue it.
+        if not (self.is_vehicle_time or utc_minus_boot_s is None or host_s is None or self._overrides):
             self._utc_minus_host_s = utc_minus_boot_s - host_s
             self._host_source = "the UTC before the reboot and the computer's clock"
         self.boot += 1

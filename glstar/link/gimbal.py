@@ -47,6 +47,8 @@ class LinkGimbal:
         self._keep_s = keep_s
         self._gimbal_clock = BootClock()
         self._used: _Rank | None = None
+        # MAVLink's number of it: its component, or 1 to 6 of a gimbal for which the autopilot speaks; 0 if unknown.
+        self.device = 0
         self._rate = MessageRate()
         # Columns: time since boot, s; the quaternion; whether the frame of reference is NED.
         self._rows = RowBuffer(6, _MOST, keep_s)
@@ -83,6 +85,8 @@ class LinkGimbal:
             self._used = rank
             self._gimbal_clock = BootClock()
             self._pending.clear()
+        of_autopilot = getattr(message, "gimbal_device_id", 0) if component == autopilot else 0
+        self.device = of_autopilot or component
         boot_s = self._boot_s(number, message, arrival_s) if boot_s is None else boot_s
         if boot_s is None:
             return

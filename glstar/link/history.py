@@ -252,8 +252,10 @@ _Position = tuple[float, float, float]
 class SimulatorState:
     """The truth of the last `keep_s` of one simulated autopilot."""
 
-    def __init__(self, keep_s: float) -> None:
+    def __init__(self, keep_s: float, *, is_vehicle_time: bool = False) -> None:
         self.history = History(keep_s)
+        self._is_vehicle_time = is_vehicle_time
+        self._fraction = 1.0
         # Height of the autopilot's latest position, for SIMSTATE, m.
         self.height_m: float | None = None
         self._message: MessageId | None = None
@@ -308,7 +310,10 @@ class SimulatorState:
         if before is None:
             return
         for state_s, q_body_ned, position in pending:
-            at_s = min(max(before[0] + state_s - before[1], before[0]), boot_s)
+            passed_s = state_s - before[1]
+            if self._is_vehicle_time:
+                passed_s = (boot_s - before[0]) * self._fraction_of(passed_s, arrival_s - before[1])
+            at_s = min(max(before[0] + passed_s, before[0]), boot_s)
             if before[1] < state_s == arrival_s:
                 at_s = boot_s  # one read of the link: the two were sent together
             latest_s = self.history.latest_boot_s
@@ -318,6 +323,16 @@ class SimulatorState:
             if position is not None and at_s - self._position_s >= _POSITION_INTERVAL_S:
                 self._position_s = at_s
                 self.history.add_position(at_s, *position)
+
+    def _fraction_of(self, passed_s: float, all_s: float) -> float:
+        """Return where between two attitudes a state is by its arrival, 0 to 1.
+
+        A clock of another rate has the same fractions.  Packets that are read together have no times of their own, but
+        the latest fraction.
+        """
+        if all_s > 0:
+            self._fraction = min(max(passed_s / all_s, 0.0), 1.0)
+        return self._fraction
 
     def begin_boot(self, utc_minus_boot_s: float | None) -> None:
         """Begin a new boot, as `History.begin_boot`."""

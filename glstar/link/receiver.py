@@ -63,7 +63,7 @@ class Receiver:
         self.clock = clock
         # What the autopilot estimates, a simulator's own state, and the attitude of its gimbal.
         self.history = History(keep_s)
-        self.simulator = SimulatorState(keep_s) if with_simulator else None
+        self.simulator = SimulatorState(keep_s, is_vehicle_time=clock.is_vehicle_time) if with_simulator else None
         self.gimbal = LinkGimbal(clock, keep_s)
         # Number of packets received, of those of the autopilot among them, and of its packets that were lost.
         self.packets = self.counted = self.lost = 0
@@ -251,7 +251,10 @@ class Receiver:
         boot, had_two_clocks = self.clock.boot, self.clock.has_two_clocks
         boot_s = self.clock.add_packet(stamped_s, arrival_s)
         if self.clock.boot != boot:
-            self._report("the autopilot was restarted; its clock begins again")
+            restarted = (
+                "the simulator was set to another time" if self.clock.is_vehicle_time else "the autopilot was restarted"
+            )
+            self._report(f"{restarted}; its clock begins again")
             self.history.begin_boot(self.clock.utc_minus_boot_before_s)
             if self.simulator is not None:
                 self.simulator.begin_boot(self.clock.utc_minus_boot_before_s)

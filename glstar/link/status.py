@@ -73,6 +73,11 @@ class LatestAttitude:
     boot: int = 0  # Number of the boot, from 0
     utc_minus_host_s: float = 0.0  # UTC minus `time.monotonic`, s, without the delays of the link
 
+    @property
+    def boot_s(self) -> float:
+        """Its time since boot, s."""
+        return self.utc_s - self.utc_minus_boot_s
+
     def utc_step_s(self, before: "LatestAttitude") -> float:
         """Return by how much UTC was changed since an earlier attitude, s; a reboot by itself does not change it."""
         if self.boot == before.boot:

@@ -99,6 +99,8 @@ class Received:
 
 # What the sky is drawn from: what the autopilot estimates, or a simulator's own state.
 Truth = Literal["estimator", "sim_state"]
+# When frames are due: at the arrival of attitudes, or by the vehicle's own clock.
+Clock = Literal["arrival", "vehicle"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -126,6 +128,7 @@ class Link:
     `camera`: a camera beside the vehicle, which others command; without it there is none on the link.
     `retry`: whether to try again if the link cannot be opened at first.
     `on_gimbal`: whether the camera is on a gimbal, whose attitude is requested; see `follow_gimbal`.
+    `clock`: ``"vehicle"`` for a simulator that is faster than the computer's clock, is paused or set back.
 
     Raises ConfigError if the interpolation is ``"gyro"``.
     """
@@ -145,11 +148,13 @@ class Link:
         camera: CameraComponent | None = None,
         retry: bool = False,
         on_gimbal: bool = False,
+        clock: Clock = "arrival",
     ) -> None:
         if options.interpolation == "gyro":
             raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
         self.endpoint = endpoint
         self.truth = truth
+        self.clock = clock
         # Begins and ends a recording while the link is open.
         self.recording = LinkRecording(recorder, self._report)
         self._options = options
@@ -159,7 +164,7 @@ class Link:
         with_simulator = truth == "sim_state"
         self._make_receiver = partial(Receiver, report=self._report, keep_s=keep_s, with_simulator=with_simulator)
         self._uses_computer_clock = utc_now
-        self._receiver = self._make_receiver(_new_clock(options, utc_now=utc_now), sysid=sysid)
+        self._receiver = self._make_receiver(self._new_clock(), sysid=sysid)
         self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz, wants_gimbal=on_gimbal)
         # Guards the receiver and the following attributes; notified when packets arrive.
         self._changed = Condition()
@@ -249,8 +254,7 @@ class Link:
     def listen_to(self, sysid: int) -> None:
         """Listen to the vehicle of another MAVLink system: its flight is a new one, and earlier samples are dropped."""
         with self._changed:
-            clock = _new_clock(self._options, utc_now=self._uses_computer_clock)
-            receiver = self._make_receiver(clock, sysid=sysid)
+            receiver = self._make_receiver(self._new_clock(), sysid=sysid)
             receiver.continue_from(self._receiver, time.monotonic())
             self._receiver = receiver
 
@@ -415,8 +419,18 @@ class Link:
         return has_packets
 
     def _may_reopen(self) -> bool:
-        """Return whether reopening can help after a timeout; it cannot for UDP, which has no connection."""
-        return self.endpoint.kind not in {"udpin", "udpout"}
+        """Return whether reopening can help after a timeout: not for UDP, nor for a simulator that is paused."""
+        return self.endpoint.kind not in {"udpin", "udpout"} and self.clock == "arrival"
+
+    def _new_clock(self) -> BootClock:
+        """Return the clock of a vehicle from which nothing has been received."""
+        start_s = self._options.utc_start
+        return BootClock(
+            is_vehicle_time=self.clock == "vehicle",
+            utc_minus_host_s=time.time() - time.monotonic() if self._uses_computer_clock else None,
+            host_source=COMPUTER_CLOCK if start_s is None else "given: the first packet",
+            start_utc_s=start_s,
+        )
 
     def _restore_rates(self, transport: Transport) -> None:
         if self._ending.is_set():
@@ -445,12 +459,3 @@ class Link:
         with self._changed:
             self._event_count += 1
             self._events.append(LinkEvent(self._event_count, time.time(), message))
-
-
-def _new_clock(options: FlightOptions, *, utc_now: bool) -> BootClock:
-    """Return the clock of a vehicle from which nothing has been received."""
-    return BootClock(
-        utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
-        host_source=COMPUTER_CLOCK if options.utc_start is None else "given: the first packet",
-        start_utc_s=options.utc_start,
-    )

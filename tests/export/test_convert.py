@@ -25,6 +25,7 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
 
 RUNNER = CliRunner()
+FOR_FOXGLOVE = ("/camera/image_raw/compressed", "/camera/annotations")
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,7 @@ def test_rosbags_reads_pixels_camera_time_and_transforms(export: Path, tmp_path:
         **dict.fromkeys(("/camera/image_raw", "/camera/camera_info", "/imu/data", "/fix", "/tf", "/clock"), 3),
         "/glstar/truth": 3,
         "/tf_static": 1,
+        **(dict.fromkeys(FOR_FOXGLOVE, 3) if name.endswith(".mcap") else {}),
     }
     for k, line in enumerate(lines):
         stamp_ns, image = found["/camera/image_raw"][k]
@@ -145,6 +147,38 @@ def test_foxgloves_reader_finds_the_messages_in_order(export: Path, tmp_path: Pa
     np.testing.assert_allclose(
         np.array(times_ns) * 1e-9, [parse_utc(line["utc_mid"]) for line in truth(export)], rtol=0, atol=1e-6
     )
+
+
+def test_an_mcap_file_has_png_and_annotations_in_compressed_chunks(export: Path, tmp_path: Path) -> None:
+    convert(export, tmp_path / "frames.mcap")
+
+    with (tmp_path / "frames.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert {index.compression for index in summary.chunk_indexes} == {"zstd"}
+    found: dict[str, list] = {}
+    with AnyReader([tmp_path / "frames.mcap"]) as bag:
+        for connection, _, raw in bag.messages(connections=[c for c in bag.connections if c.topic in FOR_FOXGLOVE]):
+            found.setdefault(connection.topic, []).append(bag.deserialize(raw, connection.msgtype))
+    for line, image, drawn in zip(truth(export), *(found[topic] for topic in FOR_FOXGLOVE), strict=True):
+        assert image.format.startswith("mono8; png")
+        pixels = cv2.imread(str(export / line["file"]), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(cv2.imdecode(image.data, cv2.IMREAD_UNCHANGED), pixels)
+        assert drawn.circles[0].timestamp == image.header.stamp
+        # Foxglove counts from the corner of the top left pixel, glstar from its centre.
+        shown = [star for star in line["stars"] if star["x_px"] is not None]
+        centres = [(circle.position.x - 0.5, circle.position.y - 0.5) for circle in drawn.circles]
+        np.testing.assert_allclose(centres, [(s["x_px"], s["y_px"]) for s in shown], rtol=0, atol=1e-9)
+        [trails] = drawn.points
+        points = np.array([(point.x - 0.5, point.y - 0.5) for point in trails.points]).reshape(-1, 2, 2)
+        whole = [s for s in line["stars"] if s["x_px"] is not None and s["start"] and s["end"]]
+        for star in whole:
+            middle = (star["x_px"], star["y_px"])
+            for ends in ((star["start"], middle), (middle, star["end"])):
+                assert np.abs(points - np.array(ends)).max(axis=(1, 2)).min() < 1e-9
+        assert trails.type == 4  # LINE_LIST
+        assert drawn.texts[0].text == str(shown[0]["star_id"])
+    assert len(truth(export)) == 3
 
 
 def test_a_converted_export_is_a_flight_again(export: Path, tmp_path: Path) -> None:

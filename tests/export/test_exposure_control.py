@@ -207,8 +207,8 @@ def test_the_frames_of_a_link_are_controlled_and_end_at_the_latest_attitude(rend
     assert report.drawn >= 15
     stops_s = np.array([exposure.stop_utc_s for exposure in exposures])
     np.testing.assert_allclose(np.diff(stops_s), 0.5, rtol=0, atol=0.03)
-    assert live._control is not None
-    assert live._control.settings[1] > 2.0 or live._control.settings[0] < 0.5
+    assert live._frames._control is not None
+    assert live._frames._control.settings[1] > 2.0 or live._frames._control.settings[0] < 0.5
 
 
 @pytest.mark.parametrize(

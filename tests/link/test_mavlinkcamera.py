@@ -1,16 +1,28 @@
 """The MAVLink camera: a ground station written from the protocol alone commands it."""
 
-from collections.abc import Iterator
+import struct
+from collections.abc import Iterator, Mapping
 from math import nan
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
+from xml.etree import ElementTree as ET
 
+import av
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.link.camera import CameraComponent, CameraFacts, CapturedImage
+from glstar.errors import ConfigError
+from glstar.link.camera import (
+    CameraComponent,
+    CameraFacts,
+    CameraParameter,
+    CapturedImage,
+    VideoFacts,
+    camera_definition,
+)
 from glstar.link.clock import BootClock
 from glstar.link.packets import Framer, dialect
 from glstar.link.receiver import Receiver
@@ -26,8 +38,8 @@ STATION = (255, 190)
 class Bench:
     """A camera on a link whose vehicle booted at `time.monotonic` 0, and a station that commands it."""
 
-    def __init__(self, *, exposure_s: float = 0.5, delay_s: float = 0.0, has_utc: bool = True) -> None:
-        facts = CameraFacts("night", 640, 480, exposure_s, 3.0, lambda: (1000.0, 250.0))
+    def __init__(self, *, exposure_s: float = 0.5, delay_s: float = 0.0, has_utc: bool = True, **facts_: Any) -> None:
+        facts = CameraFacts("night", 641, 480, exposure_s, 3.0, lambda: (1000.0, 250.0), **facts_)
         self.camera = CameraComponent(facts, delay_s=delay_s)
         self.receiver = Receiver(BootClock(), lambda _: None)
         self.now_s = 20.0
@@ -94,9 +106,158 @@ def test_it_states_size_storage_and_that_it_takes_images() -> None:
 
     assert bytes(about.vendor_name).rstrip(b"\0") == b"glstar"
     assert bytes(about.model_name).rstrip(b"\0") == b"night"
-    assert (about.resolution_h, about.resolution_v) == (640, 480)
+    assert (about.resolution_h, about.resolution_v) == (641, 480)
     assert about.flags == M.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
     assert (storage.total_capacity, storage.used_capacity, storage.available_capacity) == (1000.0, 750.0, 250.0)
+
+
+def test_a_video_stream_is_stated_where_there_is_one() -> None:
+    bench = Bench(video=VideoFacts(5600, 10.0), horizontal_field_deg=54.4)
+
+    assert bench.command(512, 259)[1].flags == M.CAMERA_CAP_FLAGS_CAPTURE_IMAGE | M.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM
+    for words in ((512, 269, 0), (512, 269, 1), (512, 269, nan), (2504, 0), (2504, 1)):
+        ack, stream = bench.command(*words)
+        assert (ack.result, stream.get_type()) == (M.MAV_RESULT_ACCEPTED, "VIDEO_STREAM_INFORMATION")
+        assert (stream.type, stream.encoding) == (M.VIDEO_STREAM_TYPE_RTPUDP, M.VIDEO_STREAM_ENCODING_H264)
+        # Of RTP, the UDP port at which the ground station listens.
+        assert (stream.stream_id, stream.count, stream.uri) == (1, 1, "5600")
+        # H.264 has even sizes.
+        assert (stream.resolution_h, stream.resolution_v, stream.framerate, stream.hfov) == (640, 480, 10.0, 54)
+    for words in ((512, 270, 1), (2505, 1)):
+        status = bench.command(*words)[1]
+        assert (status.get_type(), status.flags) == ("VIDEO_STREAM_STATUS", M.VIDEO_STREAM_STATUS_FLAGS_RUNNING)
+    assert bench.result(512, 269, 2) == M.MAV_RESULT_DENIED
+
+
+SETTINGS = (
+    CameraParameter("CAM_SHUTTERSPD", "exposure.duration_s", 0.5, 0.001, 60.0, "s", "Exposure time"),
+    CameraParameter("CAM_FRAMES", "exposure.frames", 1, 1, 8, "", "Short exposures", is_whole=True),
+)
+
+
+def changed(settings: Mapping[str, float]) -> tuple[float, float]:
+    """Take exposures of up to 2 s in all, every 3 s."""
+    span_s = settings["exposure.duration_s"] * settings["exposure.frames"]
+    if span_s > 2.0:
+        raise ConfigError("is too long", key="exposure.duration_s")
+    return span_s, 3.0
+
+
+class Settings(Bench):
+    """A camera whose settings a station changes."""
+
+    def __init__(self) -> None:
+        super().__init__(parameters=SETTINGS, changed=changed, definition=(7, "http://127.0.0.1:1/camera.xml"))
+
+    def answers(self, message: Any) -> list[Any]:
+        self.feed(message, self._station)
+        return self.sent()
+
+    def set(self, name: bytes, content: bytes, kind: int, *, target: tuple[int, int] = (7, 100)) -> tuple[int, bytes]:
+        [ack] = self.answers(M.MAVLink_param_ext_set_message(*target, name, content.ljust(128, b"\0"), kind))
+        assert ack.get_type() == "PARAM_EXT_ACK"
+        return ack.param_result, ack._param_value_raw.ljust(4, b"\0")[:4]
+
+
+def test_a_station_reads_all_settings_as_bytes() -> None:
+    bench = Settings()
+
+    listed = bench.answers(M.MAVLink_param_ext_request_list_message(7, 100))
+    assert {one.get_type() for one in listed} == {"PARAM_EXT_VALUE"}
+    assert [(one.param_id, one.param_type, one.param_count, one.param_index) for one in listed] == [
+        ("CAM_MODE", M.MAV_PARAM_EXT_TYPE_UINT32, 3, 0),
+        ("CAM_SHUTTERSPD", M.MAV_PARAM_EXT_TYPE_REAL32, 3, 1),
+        ("CAM_FRAMES", M.MAV_PARAM_EXT_TYPE_UINT32, 3, 2),
+    ]
+    # pymavlink cuts zeros at the end of a packet.
+    assert [one._param_value_raw.rstrip(b"\0") for one in listed] == [b"", b"\x00\x00\x00\x3f", b"\x01"]
+    for name, index in ((b"CAM_FRAMES", -1), (b"", 2)):
+        [one] = bench.answers(M.MAVLink_param_ext_request_read_message(7, 100, name, index))
+        assert one.param_id == "CAM_FRAMES"
+    assert bench.answers(M.MAVLink_param_ext_request_read_message(7, 100, b"CAM_ISO", -1)) == []
+    assert bench.answers(M.MAVLink_param_ext_request_read_message(7, 100, b"", 3)) == []
+    assert bench.answers(M.MAVLink_param_ext_request_list_message(7, 101)) == []
+    about = bench.command(512, 259)[1]
+    assert (about.cam_definition_version, about.cam_definition_uri) == (7, "http://127.0.0.1:1/camera.xml")
+
+
+def test_a_changed_exposure_is_that_of_the_next_picture() -> None:
+    bench = Settings()
+    bench.command(2000, 0, 0, 1, 1)
+
+    assert bench.set(b"CAM_SHUTTERSPD", struct.pack("<f", 0.1), 9) == (M.PARAM_ACK_ACCEPTED, struct.pack("<f", 0.1))
+    bench.now_s += 0.6  # the first one took 0.5 s
+    assert bench.set(b"CAM_FRAMES", b"\x03", 5) == (M.PARAM_ACK_ACCEPTED, b"\x03\0\0\0")
+    assert bench.result(2000, 0, 0, 1, 2) == M.MAV_RESULT_ACCEPTED
+    bench.now_s += 0.29
+    assert bench.result(2000, 0, 0, 1, 3) == M.MAV_RESULT_TEMPORARILY_REJECTED
+    bench.now_s += 0.02
+    assert bench.result(2000, 0, 0, 1, 4) == M.MAV_RESULT_ACCEPTED
+
+    captures = []
+    while (capture := bench.camera.next()) is not None:
+        captures.append(capture.settings)
+        bench.camera.captured(CapturedImage(capture))
+    assert captures == [
+        {"exposure.duration_s": 0.5, "exposure.frames": 1},
+        *[{"exposure.duration_s": 0.1, "exposure.frames": 3}] * 2,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kind"),
+    [
+        (b"CAM_SHUTTERSPD", struct.pack("<f", 60.1), 9),  # above the largest value
+        (b"CAM_SHUTTERSPD", struct.pack("<f", nan), 9),
+        (b"CAM_SHUTTERSPD", struct.pack("<f", 3.0), 9),  # which the camera cannot
+        (b"CAM_SHUTTERSPD", struct.pack("<d", 0.1), 10),  # another type
+        (b"CAM_FRAMES", b"\0", 5),
+        (b"CAM_MODE", b"\1", 5),  # video
+        (b"CAM_ISO", b"\1", 5),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused_and_kept(name: bytes, content: bytes, kind: int) -> None:
+    bench = Settings()
+
+    assert bench.set(name, content, kind)[0] == M.PARAM_ACK_VALUE_UNSUPPORTED
+
+    assert bench.camera.settings == {"exposure.duration_s": 0.5, "exposure.frames": 1}
+    assert bench.set(b"CAM_MODE", b"", 5) == (M.PARAM_ACK_ACCEPTED, b"\0" * 4)
+
+
+def test_the_definition_file_describes_the_settings_and_another_one_has_another_version() -> None:
+    version, content = camera_definition("night", SETTINGS)
+
+    root = ET.fromstring(content)
+    definition = root.find("definition")
+    assert definition is not None
+    assert definition.attrib == {"version": str(version)}
+    assert [(one.tag, one.text) for one in definition] == [("model", "night"), ("vendor", "glstar")]
+    parameters = root.findall("parameters/parameter")
+    assert [(one.get("name"), one.get("type")) for one in parameters] == [
+        ("CAM_MODE", "uint32"),
+        ("CAM_SHUTTERSPD", "float"),
+        ("CAM_FRAMES", "uint32"),
+    ]
+    assert [(one.get("default"), one.get("min"), one.get("max")) for one in parameters[1:]] == [
+        ("0.5", "0.001", "60"),
+        ("1", "1", "8"),
+    ]
+    assert all(one.findtext("description") for one in parameters)
+    assert 0 < version < 2**16
+    other = (SETTINGS[0]._replace(value=0.25), SETTINGS[1])
+    assert camera_definition("night", other)[0] != version == camera_definition("night", SETTINGS)[0]
+
+
+def test_a_camera_on_a_gimbal_names_it() -> None:
+    bench, fixed = Bench(on_gimbal=True), Bench()
+    status = M.MAVLink_gimbal_device_attitude_status_message(0, 0, 20_000, 0, [1, 0, 0, 0], 0, 0, 0, 0)
+
+    assert bench.command(512, 259)[1].gimbal_device_id == 0
+    for one in (bench, fixed):
+        one.feed(status, M.MAVLink(None, srcSystem=7, srcComponent=154))
+    assert bench.command(512, 259)[1].gimbal_device_id == 154
+    assert fixed.command(512, 259)[1].gimbal_device_id == 0
 
 
 def test_a_picture_begins_when_it_is_commanded_plus_the_delay() -> None:
@@ -216,6 +377,7 @@ def test_an_interval_shorter_than_the_exposure_is_that_of_the_exposure() -> None
         ((203, 0, 0, 0, 0, 0), M.MAV_RESULT_ACCEPTED),  # nothing to do
         ((512, nan), M.MAV_RESULT_UNSUPPORTED),
         ((512, 269), M.MAV_RESULT_UNSUPPORTED),  # no video stream
+        ((2504, 1), M.MAV_RESULT_UNSUPPORTED),
         ((526, 1, 1), M.MAV_RESULT_UNSUPPORTED),  # nobody formats a disk
         ((2500, 0, 1), M.MAV_RESULT_UNSUPPORTED),
     ],
@@ -255,6 +417,53 @@ def test_without_utc_no_picture_is_taken() -> None:
     assert bench.result(2000, 0, 0, 1, 1) == M.MAV_RESULT_TEMPORARILY_REJECTED
     assert bench.result(2000, 0, 1, 0, 0) == M.MAV_RESULT_TEMPORARILY_REJECTED
     assert "UTC is not known yet" in bench.camera.messages[0]
+
+
+class Setting(SimulatedAutopilot):
+    """A vehicle whose ground station reads the camera's definition, sets exposure and gain, and takes a picture."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(port)
+        self.definition = b""
+        self.results: dict[str, int] = {}
+
+    def messages(self, step: int, elapsed_s: float) -> Iterator[Any]:
+        yield from super().messages(step, elapsed_s)
+        self.results |= {one.param_id: one.param_result for one in self.got("PARAM_EXT_ACK")}
+        if not self.definition:
+            for about in self.got("CAMERA_INFORMATION"):
+                with urlopen(about.cam_definition_uri) as answer:
+                    self.definition = answer.read()
+        if step > 100 and step % 25 == 0:
+            target = 1, 100
+            if not self.definition:
+                yield _FromStation(MAVLINK.MAVLink_command_long_message(*target, 512, 0, 259, 0, 0, 0, 0, 0, 0))
+            elif len(self.results) < 2:
+                for name, value in ((b"CAM_SHUTTERSPD", 0.25), (b"CAM_GAIN", 4.0)):
+                    content = struct.pack("<f", value).ljust(128, b"\0")
+                    yield _FromStation(MAVLINK.MAVLink_param_ext_set_message(*target, name, content, 9))
+            else:
+                yield _FromStation(MAVLINK.MAVLink_command_long_message(*target, 2000, 0, 0, 0, 1, 1, 0, 0, 0))
+
+    def got(self, kind: str) -> list[Any]:
+        return [one for one in self.received if one.get_type() == kind]
+
+
+def test_a_station_sets_exposure_and_gain_of_a_flying_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port, frames, config = free_port(), tmp_path / "frames", tmp_path / "small.toml"
+    config.write_text(SMALL + '[sensor]\nnoise = "electrons"\ngain_dn_per_e = 0.5\n')
+    vehicle = Setting(port)
+    monkeypatch.setattr("tests.support.autopilot.SimulatedAutopilot", lambda *_: vehicle)
+    words = f"live udpin:127.0.0.1:{port} --truth sim_state --exposure 0.1 --duration 100 --max-gap 5 -c {config}"
+    with simulated(port), interrupted_when(lambda: bool(vehicle.got("CAMERA_IMAGE_CAPTURED"))):
+        result = CliRunner().invoke(app, [*words.split(), "--mavlink-camera", "--export", str(frames)])
+
+    assert result.exit_code == 0, result.output
+    assert vehicle.results == dict.fromkeys(("CAM_SHUTTERSPD", "CAM_GAIN"), MAVLINK.PARAM_ACK_ACCEPTED)
+    names = [one.get("name") for one in ET.fromstring(vehicle.definition).findall("parameters/parameter")]
+    assert names == ["CAM_MODE", "CAM_SHUTTERSPD", "CAM_INTERVAL", "CAM_GAIN"]  # a sum has no CAM_FRAMES
+    [line] = lines(frames / "truth.jsonl")
+    assert (line["duration_s"], line["sensor"]["dn_per_e"]) == (0.25, 2.0)
 
 
 class _FromStation:
@@ -336,6 +545,27 @@ def test_a_ground_station_takes_pictures_and_their_files_exist(tmp_path: Path, m
         boresight_ned = matrix_from_quaternion(np.array(one.q)) @ [1.0, 0.0, 0.0]
         C_body_ned = matrix_from_quaternion(np.array(line["q_body_ned"]))
         np.testing.assert_allclose(boresight_ned, C_body_ned.T @ np.array(line["C_camera_body"])[2], rtol=0, atol=1e-6)
+
+
+def test_between_its_pictures_the_camera_films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port, frames, config, video = free_port(), tmp_path / "frames", tmp_path / "small.toml", tmp_path / "night.ts"
+    config.write_text(SMALL)
+    vehicle = Commanding(port)
+    monkeypatch.setattr("tests.support.autopilot.SimulatedAutopilot", lambda *_: vehicle)
+    words = f"live udpin:127.0.0.1:{port} --truth sim_state --exposure 0.1 --every 0.2 --duration 100 --max-gap 5"
+    words += f" -c {config} --mavlink-camera --export {frames} --video {video}"
+    with simulated(port), interrupted_when(lambda: len(vehicle.captured()) >= 5):
+        result = CliRunner().invoke(app, words.split())
+
+    assert result.exit_code == 0, result.output
+    truth = lines(frames / "truth.jsonl")
+    assert [line["image_index"] for line in truth] == list(range(len(truth)))
+    assert [line["frame"] for line in truth] == list(range(len(truth)))
+    assert len(list(frames.glob("frame_*"))) == len(truth)
+    with av.open(str(video)) as file:
+        stamps_s = [float(one.pts * one.time_base) for one in file.demux(video=0) if one.pts is not None]
+    # The first command comes after two seconds, another one every 0.3 s at most.
+    assert len(stamps_s) > len(truth) + 5
 
 
 @pytest.mark.parametrize(

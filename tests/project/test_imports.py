@@ -273,6 +273,7 @@ def test_what_is_imported_is_declared() -> None:
         *(
             "av",
             "distributed",
+            "foxglove",
             "fsspec",
             "gymnasium",
             "lz4",

@@ -28,6 +28,7 @@ MEANINGS: Final = {
     "--f-number": "focal length over aperture",
     "--force": "replace what exists",
     "--format": "format of the files",
+    "--video": "frames as a video: of an export as NAME.webm or NAME.mp4, live by RTP or as NAME.ts",
     "--video-fps": "frame rate of a video, 1/s",
     "--gain": "analogue gain of the sensor",
     "--headless": "no window",

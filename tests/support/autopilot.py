@@ -46,7 +46,9 @@ class SimulatedAutopilot:
     used.  `truth`: the message of the simulator's own state; `uptime_s`: time since boot at first; `uses_gnss`: whether
     positions are refused for that; `parameters`: what it states on request, others get no answer; `is_uneven`: whether
     the intervals are 20 and 40 ms in turn, as of ArduPilot's scheduler; `has_station`: whether it forwards the
-    heartbeats of a ground station, whose other packets are for itself.
+    heartbeats of a ground station, whose other packets are for itself; `speed`: of its clock against the computer's,
+    which then goes by steps of 20 ms alone; at the steps in `pauses` it stands still for a time, s, and at those in
+    `rewinds` it goes back by some steps, once.
     """
 
     def __init__(
@@ -59,6 +61,9 @@ class SimulatedAutopilot:
         parameters: Mapping[str, float] = MappingProxyType({"GPS1_TYPE": 14.0}),
         is_uneven: bool = False,
         has_station: bool = False,
+        speed: float | None = None,
+        pauses: Mapping[int, float] = MappingProxyType({}),
+        rewinds: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
         self.received: list[Any] = []
         self.applied: list[tuple[float, float, float]] = []
@@ -66,6 +71,7 @@ class SimulatedAutopilot:
         self._uptime_s, self._uses_gnss, self._parameters = uptime_s, uses_gnss, dict(parameters)
         self._is_uneven, self._has_station = is_uneven, has_station
         self._clock, self._began_s = JitterCorrection(), 0.0
+        self._speed, self._pauses, self._rewinds = speed, dict(pauses), dict(rewinds)
         self._link = MAVLINK.MAVLink(None, srcSystem=1, srcComponent=1)
         self._link.robust_parsing = True
         self._station = MAVLINK.MAVLink(None, srcSystem=255, srcComponent=190)
@@ -74,6 +80,9 @@ class SimulatedAutopilot:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
             here.setblocking(False)
             self._began_s, step = time.monotonic(), 0
+            if self._speed is not None:
+                self._run_by_steps(here, stop, self._speed)
+                return
             while not stop.is_set():
                 for message in self.messages(step, time.monotonic() - self._began_s):
                     here.sendto(message.pack(self._link), self._address)
@@ -87,6 +96,18 @@ class SimulatedAutopilot:
                 # The same mean rate of 50 / 1.5 Hz if uneven.
                 due_s = (1.5 * step - 0.5 * (step % 2)) / _HZ if self._is_uneven else step / _HZ
                 time.sleep(max(self._began_s + due_s - time.monotonic(), 0.0))
+
+    def _run_by_steps(self, here: socket.socket, stop: threading.Event, speed: float) -> None:
+        step, due_s = 0, time.monotonic()
+        while not stop.is_set():
+            due_s += self._pauses.pop(step, 0.0) + 1 / (_HZ * speed)
+            step -= self._rewinds.pop(step, 0)
+            for message in self.messages(step, step / _HZ):
+                here.sendto(message.pack(self._link), self._address)
+                self._link.seq = (self._link.seq + 1) % 256
+            self._receive(here)
+            step += 1
+            time.sleep(max(due_s - time.monotonic(), 0.0))
 
     def messages(self, step: int, elapsed_s: float) -> Iterator[Any]:
         boot_ms = round((self._uptime_s + elapsed_s) * 1000) % 2**32

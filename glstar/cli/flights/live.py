@@ -5,7 +5,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -15,12 +15,12 @@ import typer
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.flights import windowoptions
 from glstar.cli.flights.linkoptions import CameraOptions, Injection, InjectionOptions, with_link_options
+from glstar.cli.flights.liveoutputs import LiveOutputs, with_live_outputs
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
-from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.link import Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
+from glstar.link import Clock, Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.history import SIMULATOR_NAMES
 from glstar.link.packets import dialect
 from glstar.link.status import GIMBAL_LACK
@@ -67,6 +67,13 @@ TruthOf = Annotated[
         " HIL_STATE_QUATERNION or SIMSTATE); nav.jsonl of --export then has the estimate.",
     ),
 ]
+ClockOf = Annotated[
+    Clock,
+    typer.Option(
+        help="When frames end: arrival, at the latest attitude; vehicle, at whole multiples of --every by the vehicle's"
+        " clock, for simulators that are faster than real time, paused or set back.",
+    ),
+]
 Answers = Annotated[
     str | None,
     typer.Option(
@@ -98,27 +105,27 @@ class _ExportOptions:
     """Outputs of frames."""
 
     directory: Path | None
-    publishing: FramePublishing
+    outputs: LiveOutputs
     image_format: Any
     seed: int
     force: bool
 
     @classmethod
-    def of(cls, directory: Path | None, publishing: FramePublishing, *others: Any) -> Self | None:
+    def of(cls, directory: Path | None, outputs: LiveOutputs, *others: Any) -> Self | None:
         """Return the options; None if no frames are asked for."""
-        return None if directory is None and publishing.where is None else cls(directory, publishing, *others)
+        return None if directory is None and not outputs.has_any else cls(directory, outputs, *others)
 
 
 # These options apply to logs only.
 @with_verbosity
 @with_link_options
+@with_live_outputs
 @with_flight_flags(but={"attitude", "boot", "columns", "position", "vehicle"})
 def live(
     link: LinkName = None,
     *,
     export: ExportTo = None,
-    latest_frame: LatestFrame = None,
-    with_truth: WithTruth = False,
+    outputs: LiveOutputs,
     record: Record = None,
     exposure: ExposureLength = None,
     every: Interval = None,
@@ -128,6 +135,7 @@ def live(
     flags: FlightFlags,
     utc_now: UtcNow = False,
     truth: TruthOf = "estimator",
+    clock: ClockOf = "arrival",
     injected: InjectionOptions,
     answers: Answers = None,
     commanded: CameraOptions,
@@ -150,20 +158,21 @@ def live(
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
-    frames = _ExportOptions.of(export, FramePublishing(latest_frame, with_truth), format_, seed, force)
-    _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
+    frames = _ExportOptions.of(export, outputs, format_, seed, force)
+    _refuse_contradictions(window, clock, exports=frames is not None, records=record is not None, duration_s=duration)
     with exit_on_interrupt():
         _import_libraries(draws=frames is not None)
+        outputs.check()
     windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
     injection = injected.injection(endpoint, answers, exports=frames is not None)
-    camera = commanded.component(settings, export, has_interval=every is not None)
     with ExitStack() as stack:
+        camera = stack.enter_context(commanded.component(settings, export, outputs, format_, every))
         recorder = None if record is None else stack.enter_context(Recorder(record))
         senders = {"camera": camera, "injector": None if injection is None else injection.injector}
-        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth}
-        opened = stack.enter_context(_open(endpoint, settings, **options, **senders))
+        reception = {"rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth, "clock": clock}
+        opened = stack.enter_context(_open(endpoint, settings, utc_now=utc_now, **reception, **senders))
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
         report = _follow(opened, settings, window, frames, injection, duration)
@@ -176,15 +185,22 @@ def live(
     typer.echo(json.dumps(summary) if as_json else _text(summary))
 
 
-def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bool, duration_s: float | None) -> None:
+def _refuse_contradictions(
+    window: _WindowOptions, clock: Clock, *, exports: bool, records: bool, duration_s: float | None
+) -> None:
+    if clock == "vehicle" and not exports:
+        message = "times frames: add --export, --latest-frame, --video or --foxglove"
+        raise typer.BadParameter(message, param_hint="--clock")
     of_window = window.screenshot is not None or window.stats is not None
     if exports and (of_window or window.show is not None or window.headless):
         raise typer.BadParameter(
-            "--export and --latest-frame open no window: --show, --screenshot, --stats belong to a window"
+            "--export, --latest-frame, --video and --foxglove open no window: --show, --screenshot, --stats belong to"
+            " a window"
         )
     if window.headless and not (records or of_window):
         raise typer.BadParameter(
-            "without a window there is nothing to do but --record, --export, --latest-frame or --screenshot",
+            "without a window there is nothing to do but --record, --export, --latest-frame, --video, --foxglove or"
+            " --screenshot",
             param_hint="--headless",
         )
     if window.answers is not None and window.headless and not (exports or of_window):
@@ -276,13 +292,13 @@ def _export(
     with ExitStack() as stack:
         renderer = stack.enter_context(GLRenderer.headless())
         _, sensor = fit_format(frames.image_format, settings.sensor(), summed=settings.exposure.signal_factor)
-        publishing = frames.publishing
-        output = None if publishing.where is None else stack.enter_context(closing(publishing.opened(settings, sensor)))
+        opened = stack.enter_context(frames.outputs.opened(settings, sensor))
         job = LiveExport(
             settings,
             link,
             directory=frames.directory,
-            output=output,
+            output=opened.all,
+            preview=None if link.camera is None else opened.viewers,
             image_format=frames.image_format,
             seed=frames.seed,
             command=shlex.join(["glstar", *sys.argv[1:]]),
@@ -293,7 +309,8 @@ def _export(
         report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
         injector = None if injection is None else injection.injector
         injected = {} if injector is None else {"injected": injector.sent, "not_injected": injector.refused}
-        return {**_export_summary(report), **injected}
+        late = {"late": report.late} if link.clock == "vehicle" else {}
+        return {**_export_summary(report), **late, **injected}
 
 
 def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:
@@ -363,6 +380,8 @@ def _text(summary: dict[str, object]) -> str:
     if "injected" in summary:
         refused = f", {summary['not_injected']} refused" if summary["not_injected"] else ""
         lines.append(f"{summary['injected']} positions sent to the autopilot{refused}")
+    if summary.get("late"):
+        lines.append(f"{summary['late']} left out: the vehicle's clock is faster than frames are drawn")
     skipped = summary.get("skipped")
     if isinstance(skipped, dict):
         lines += [f"{count} skipped, their exposures met {reason}" for reason, count in skipped.items()]

@@ -1,19 +1,25 @@
 """An export as a ROS 2 bag or an MCAP file: images, camera, orientation, position and transforms.
 
-=====================  ==============================  ================================================================
-topic                  message                         content
-=====================  ==============================  ================================================================
-/camera/image_raw      sensor_msgs/Image               the frame, mono8 or mono16
-/camera/camera_info    sensor_msgs/CameraInfo          its intrinsics
-/imu/data              sensor_msgs/Imu                 the true attitude, from forward, left, up to east, north, up
-/fix                   sensor_msgs/NavSatFix           the position
-/tf, /tf_static        tf2_msgs/TFMessage              map (east, north, up) to base_link, base_link to camera_optical
-/clock                 rosgraph_msgs/Clock             the time of the stamps, for nodes with ``use_sim_time``
-/glstar/truth          std_msgs/String                 the line of ``truth.jsonl``, JSON
-=====================  ==============================  ================================================================
+============================  =========================  ==============================================================
+topic                         message                    content
+============================  =========================  ==============================================================
+/camera/image_raw             sensor_msgs/Image          the frame, mono8 or mono16
+/camera/camera_info           sensor_msgs/CameraInfo     its intrinsics
+/imu/data                     sensor_msgs/Imu            the true attitude, from forward, left, up to east, north, up
+/fix                          sensor_msgs/NavSatFix      the position
+/tf, /tf_static               tf2_msgs/TFMessage         map (east, north, up) to base_link, that to camera_optical
+/clock                        rosgraph_msgs/Clock        the time of the stamps, for nodes with ``use_sim_time``
+/glstar/truth                 std_msgs/String            the line of ``truth.jsonl``, JSON
+of an MCAP file:
+/camera/image_raw/compressed  sensor_msgs/               the frame as PNG, without loss
+                              CompressedImage
+/camera/annotations           foxglove_msgs/             stars and their trails, for Foxglove to draw over the image
+                              ImageAnnotations
+============================  =========================  ==============================================================
 
 Stamps are UTC of the middle of the exposure, at which attitude and star positions are given.  ROS 2 Humble and later
 play the bag: its metadata have version 8, for rosbag2 before Jazzy refuses the empty list of QoS profiles of version 9.
+The chunks of an MCAP file are compressed.
 """
 
 import json
@@ -26,31 +32,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from glstar.arrays import Float
-from glstar.camera.distortion import COEFFICIENTS
 from glstar.errors import ExportError
 from glstar.export.directory import explain_disk_errors, image_path
 from glstar.export.imagefiles.formats import decode
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
-from glstar.rotation import conjugate, multiply, quaternion_from_matrix
+from glstar.export.truth.overlays import (
+    BODY,
+    CAMERA,
+    FONT_PX,
+    NO_COLOUR,
+    STAR,
+    THICKNESS_PX,
+    TRAIL,
+    WORLD,
+    Calibration,
+    Overlay,
+    q_body_camera,
+    q_world_body,
+)
 from glstar.sky.place.timescale import parse_utc
+from glstar.system.imagefiles import encode_png
 
 Step = Callable[[int, int], object]
 
-_WORLD, _BODY, _CAMERA = "map", "base_link", "camera_optical"
-# Rotations from north, east, down to east, north, up, and from forward, right, down to forward, left, up.
-_HALF = float(np.sqrt(0.5))
-_Q_ENU_NED = np.array([0.0, _HALF, _HALF, 0.0])
-_Q_FLU_FRD = np.array([0.0, 1.0, 0.0, 0.0])
-# Distortion models by the lenses of glstar, and their number of coefficients.  ROS has names for the first three.
-_LENSES = {name: (name, len(coefficients)) for name, coefficients in COEFFICIENTS.items()} | {
-    "none": ("plumb_bob", 5),
-    "rational": ("rational_polynomial", 8),
-    "fisheye": ("equidistant", 4),
-}
 # Unlimited, as rosbag2 writes it.
 _FOREVER = QosTime(9223372036, 854775807)
 # A subscriber that comes late gets the last message too, as tf2 asks of static transforms.
@@ -60,6 +68,29 @@ _LATCHED = Qos(
 )  # fmt: skip
 _QOS = {"/tf_static": (_LATCHED,)}
 _UNKNOWN = np.array([-1.0, *[0.0] * 8])
+# Messages of https://github.com/foxglove/foxglove-sdk, MIT: their fields without what the pictures do not have.
+_ANNOTATIONS = {
+    "Point2": "float64 x\nfloat64 y",
+    "Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
+    "CircleAnnotation": (
+        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nfloat64 diameter\nfloat64 thickness\n"
+        "foxglove_msgs/Color fill_color\nfoxglove_msgs/Color outline_color"
+    ),
+    "PointsAnnotation": (
+        "builtin_interfaces/Time timestamp\nuint8 UNKNOWN=0\nuint8 POINTS=1\nuint8 LINE_LOOP=2\nuint8 LINE_STRIP=3\n"
+        "uint8 LINE_LIST=4\nuint8 type\nfoxglove_msgs/Point2[] points\nfoxglove_msgs/Color outline_color\n"
+        "foxglove_msgs/Color[] outline_colors\nfoxglove_msgs/Color fill_color\nfloat64 thickness"
+    ),
+    "TextAnnotation": (
+        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nstring text\nfloat64 font_size\n"
+        "foxglove_msgs/Color text_color\nfoxglove_msgs/Color background_color"
+    ),
+    "ImageAnnotations": (
+        "foxglove_msgs/CircleAnnotation[] circles\nfoxglove_msgs/PointsAnnotation[] points\n"
+        "foxglove_msgs/TextAnnotation[] texts"
+    ),
+}
+_LINE_LIST = 4
 
 
 def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all: None) -> None:
@@ -78,8 +109,11 @@ def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all:
             is_mcap = output.suffix.lower() == ".mcap"
             plugin = StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
             bag = folder / output.stem
-            with Writer(bag, version=8, storage_plugin=plugin) as writer:
-                messages = _Messages(writer)
+            writer = Writer(bag, version=8, storage_plugin=plugin)
+            if is_mcap:
+                writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            with writer:
+                messages = _Messages(writer, for_foxglove=is_mcap)
                 for number, line in enumerate(read_truth(directory)):
                     messages.write(line, _pixels(directory, line))
                     on_step(number + 1, count)
@@ -99,14 +133,17 @@ def _pixels(directory: Path, line: dict[str, Any]) -> NDArray[Any]:
 class _Messages:
     """Makes the messages of frames and writes them."""
 
-    def __init__(self, writer: Writer) -> None:
+    def __init__(self, writer: Writer, *, for_foxglove: bool) -> None:
         self._writer, self._store = writer, get_typestore(Stores.ROS2_HUMBLE)
+        self._for_foxglove = for_foxglove
+        for name, fields in _ANNOTATIONS.items():
+            self._store.register(get_types_from_msg(fields, f"foxglove_msgs/msg/{name}"))
         self._connections: dict[str, Any] = {}
         self._has_static = False
 
     def write(self, line: dict[str, Any], pixels: NDArray[Any]) -> None:
         stamp_ns = round(parse_utc(line["utc_mid"]) * 1e6) * 1000
-        optical = self._header(stamp_ns, _CAMERA)
+        optical = self._header(stamp_ns, CAMERA)
         self._put("/clock", "rosgraph_msgs/msg/Clock", stamp_ns, clock=optical.stamp)
         pixels = np.ascontiguousarray(pixels)
         encoding = "mono8" if pixels.dtype.itemsize == 1 else "mono16"
@@ -115,38 +152,68 @@ class _Messages:
             step=pixels.shape[1] * pixels.dtype.itemsize, data=pixels.reshape(-1).view(np.uint8),
         )  # fmt: skip
         self._put("/camera/camera_info", "sensor_msgs/msg/CameraInfo", stamp_ns, header=optical, **self._camera(line))
-        q_flu_enu = multiply(multiply(_Q_FLU_FRD, np.array(line["q_body_ned"])), conjugate(_Q_ENU_NED))
-        q_enu_flu = conjugate(q_flu_enu)
+        q_enu_flu = q_world_body(line)
         zero = self._vector(0.0, 0.0, 0.0)
-        self._put("/imu/data", "sensor_msgs/msg/Imu", stamp_ns, header=self._header(stamp_ns, _BODY),
+        self._put("/imu/data", "sensor_msgs/msg/Imu", stamp_ns, header=self._header(stamp_ns, BODY),
             orientation=self._quaternion(q_enu_flu), orientation_covariance=np.zeros(9), angular_velocity=zero,
             angular_velocity_covariance=_UNKNOWN, linear_acceleration=zero, linear_acceleration_covariance=_UNKNOWN,
         )  # fmt: skip
         site = line["site"]
-        self._put("/fix", "sensor_msgs/msg/NavSatFix", stamp_ns, header=self._header(stamp_ns, _BODY),
+        self._put("/fix", "sensor_msgs/msg/NavSatFix", stamp_ns, header=self._header(stamp_ns, BODY),
             status=self._make("sensor_msgs/msg/NavSatStatus", status=0, service=1), latitude=site["latitude_deg"],
             longitude=site["longitude_deg"], altitude=site["height_m"], position_covariance=np.zeros(9),
             position_covariance_type=0,
         )  # fmt: skip
-        self._transform("/tf", stamp_ns, _WORLD, _BODY, q_enu_flu)
+        self._transform("/tf", stamp_ns, WORLD, BODY, q_enu_flu)
         if not self._has_static:
-            q_camera_body = quaternion_from_matrix(np.array(line["C_camera_body"]))
-            self._transform("/tf_static", stamp_ns, _BODY, _CAMERA, multiply(_Q_FLU_FRD, conjugate(q_camera_body)))
+            self._transform("/tf_static", stamp_ns, BODY, CAMERA, q_body_camera(line))
             self._has_static = True
         self._put("/glstar/truth", "std_msgs/msg/String", stamp_ns, data=json.dumps(line))
+        if self._for_foxglove:
+            png = np.frombuffer(encode_png(pixels), dtype=np.uint8)
+            topic, kind = "/camera/image_raw/compressed", "sensor_msgs/msg/CompressedImage"
+            self._put(topic, kind, stamp_ns, header=optical, format=f"{encoding}; png compressed ", data=png)
+            topic, kind = "/camera/annotations", "foxglove_msgs/msg/ImageAnnotations"
+            self._put(topic, kind, stamp_ns, **self._overlay(Overlay.of(line), optical.stamp))
+
+    def _overlay(self, overlay: Overlay, stamp: Any) -> dict[str, Any]:
+        """Return the fields of annotations that have a stamp."""
+        clear, star, trail = (self._annotation("Color", r=r, g=g, b=b, a=a) for r, g, b, a in (NO_COLOUR, STAR, TRAIL))
+        circles = [
+            self._annotation(
+                "CircleAnnotation", timestamp=stamp, position=self._point(circle.at), diameter=circle.diameter_px,
+                thickness=THICKNESS_PX, fill_color=clear, outline_color=star,
+            )
+            for circle in overlay.circles
+        ]  # fmt: skip
+        lines = self._annotation(
+            "PointsAnnotation", timestamp=stamp, type=_LINE_LIST,
+            points=[self._point(point) for line in overlay.lines for point in line],
+            outline_color=trail, outline_colors=[], fill_color=clear, thickness=THICKNESS_PX,
+        )  # fmt: skip
+        texts = [
+            self._annotation(
+                "TextAnnotation", timestamp=stamp, position=self._point(circle.beside), text=circle.label,
+                font_size=FONT_PX, text_color=star, background_color=clear,
+            )
+            for circle in overlay.circles if circle.label
+        ]  # fmt: skip
+        return {"circles": circles, "points": [lines], "texts": texts}
+
+    def _point(self, point: tuple[float, float]) -> Any:
+        return self._annotation("Point2", x=point[0], y=point[1])
+
+    def _annotation(self, kind: str, **fields: Any) -> Any:
+        return self._make(f"foxglove_msgs/msg/{kind}", **fields)
 
     def _camera(self, line: dict[str, Any]) -> dict[str, Any]:
-        camera = line["camera"]
-        model, count = _LENSES[camera["lens"]]
-        K = np.array(camera["K"], dtype=np.float64)
-        distortion = np.zeros(max(count, len(camera["distortion"])))
-        distortion[: len(camera["distortion"])] = camera["distortion"]
+        camera = Calibration.of(line)
         region = self._make(
             "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
         return {
-            "height": camera["height_px"], "width": camera["width_px"], "distortion_model": model, "d": distortion,
-            "k": K.reshape(-1), "r": np.eye(3).reshape(-1), "p": np.column_stack([K, np.zeros(3)]).reshape(-1),
+            "height": camera.height_px, "width": camera.width_px, "distortion_model": camera.model,
+            "d": camera.coefficients, "k": camera.K.reshape(-1), "r": np.eye(3).reshape(-1), "p": camera.P.reshape(-1),
             "binning_x": 0, "binning_y": 0, "roi": region,
         }  # fmt: skip
 

@@ -102,6 +102,8 @@ class LatestFrameWriter:
         If the name cannot be written, or another process writes to it.
     """
 
+    needs_nav = False
+
     def __init__(self, where: str, pixels: int) -> None:
         self._where, self._writings, self._run = where, 0, randbits(32) | 1
         self._size_bytes = _HEAD.size + _TRUTH_BYTES + 2 * pixels

@@ -13,7 +13,8 @@ import re
 import select
 import socket
 import time
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
@@ -58,12 +59,14 @@ class MjpegServer:
     Raises ConfigError if the address is not valid or in use.
     """
 
+    needs_nav = True
+
     def __init__(self, where: str, sensor: Sensor, *, summed: int = 1) -> None:
         self._sensor, self._summed, self._quality = sensor, summed, CameraProcessing.of(sensor).jpeg_quality
         self._latest = _Latest()
         host, port = _address(where)
         try:
-            self._server = _Server((host, port), self._latest)
+            self._server = _Server((host, port), _FrameClient, self._latest)
         except OSError as error:
             raise ConfigError(f"{where} cannot be opened ({error.strerror})") from error
         self._thread = Thread(target=self._server.serve_forever, name="glstar-mjpeg", daemon=True)
@@ -122,11 +125,11 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 64
 
-    def __init__(self, address: tuple[str, int], latest: _Latest) -> None:
-        self.latest, self.named = latest, address[0].lower()
+    def __init__(self, address: tuple[str, int], client: "type[_Client]", latest: _Latest, page: bytes = b"") -> None:
+        self.latest, self.page, self.named = latest, page, address[0].lower()
         self._places = BoundedSemaphore(MOST_CLIENTS)
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-        super().__init__(address, _Client)
+        super().__init__(address, client)
 
     def server_bind(self) -> None:
         """Bind the socket, without the library's search for its name in the network."""
@@ -192,6 +195,11 @@ class _Client(BaseHTTPRequestHandler):
         ready, _, _ = select.select([self.connection], [], [], 0.0)
         return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
 
+    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the name in the standard library
+        """Print nothing."""
+
+
+class _FrameClient(_Client):
     def do_GET(self) -> None:
         """Answer a client."""
         if self.path == "/frame.jpg":
@@ -232,8 +240,33 @@ class _Client(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(jpeg)
 
-    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the name in the standard library
-        """Print nothing."""
+
+class _PageClient(_Client):
+    def do_GET(self) -> None:
+        """Answer a client."""
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "application/xml")
+        self.send_header("Content-Length", str(len(self.server.page)))
+        self.end_headers()
+        self.wfile.write(self.server.page)
+
+
+class PageServer:
+    """Serves one XML document on this computer, under any path, at a port that is free; a context manager."""
+
+    def __init__(self, content: bytes) -> None:
+        self._server = _Server((_LOOPBACK, 0), _PageClient, _Latest(), content)
+        self.address = f"{HTTP}{_LOOPBACK}:{self._server.server_port}"
+        self._thread = Thread(target=self._server.serve_forever, name="glstar-page", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
 
 
 def _host_of(named: str) -> str:
@@ -261,6 +294,8 @@ class VideoDevice:
     the device says of its rate. Frames are shown as by `MjpegServer`. Raises ConfigError if pyvirtualcam is not
     installed, or there is no such device.
     """
+
+    needs_nav = False
 
     def __init__(self, where: str, camera: Camera, sensor: Sensor, *, frames_per_s: float, summed: int = 1) -> None:
         library, device = _library(), where.removeprefix(VIDEO) or None
@@ -300,6 +335,8 @@ def _library() -> Any:
 class FrameOutput(Protocol):
     """Receives each frame as soon as it is drawn."""
 
+    needs_nav: bool  # Whether `write` needs what the aircraft knows
+
     def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
         """Pass a frame on.
 
@@ -311,6 +348,25 @@ class FrameOutput(Protocol):
     def close(self) -> None:
         """End the output; a second call does nothing."""
         ...
+
+
+class FrameOutputs:
+    """Several outputs as one; `close` ends all of them."""
+
+    def __init__(self, outputs: Sequence[FrameOutput]) -> None:
+        self._outputs = tuple(outputs)
+        self.needs_nav = any(output.needs_nav for output in self._outputs)
+
+    def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
+        """Pass a frame on to each, in their order."""
+        for output in self._outputs:
+            output.write(pixels, truth, nav)
+
+    def close(self) -> None:
+        """End each, also if another one fails."""
+        with ExitStack() as ending:
+            for output in self._outputs:
+                ending.callback(output.close)
 
 
 def open_frame_output(

@@ -64,6 +64,8 @@ class FrameStream:
     valid or in use, or pyzmq is not installed.
     """
 
+    needs_nav = True
+
     def __init__(self, where: str, *, with_truth: bool = False) -> None:
         zmq = _library()
         self._with_truth = with_truth

@@ -7,14 +7,16 @@ another thread, which draws it and says when it is done.
 
 import re
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from math import inf, isfinite, nan
 from threading import Lock
 from typing import Any, NamedTuple, Self
 
 from glstar import __version__
+from glstar.errors import ConfigError
+from glstar.link.camera.parameters import CameraParameter, CameraParameters, Changed
 from glstar.link.outgoing import Packer
 from glstar.link.packets import Packet, dialect
 from glstar.link.receiver import Receiver
@@ -30,6 +32,15 @@ _MOST_WAITING, _MOST_TAKEN = 10_000, 100_000
 # Longest URL of CAMERA_IMAGE_CAPTURED, bytes.
 _URL_BYTES = 204
 _MAVLINK_VERSION = 3
+# Number of the video stream, from 1.
+_STREAM_ID = 1
+
+
+class VideoFacts(NamedTuple):
+    """What a camera states about its video: H.264 by RTP."""
+
+    port: int  # UDP port at which ground stations receive it
+    frames_per_s: float
 
 
 class CameraFacts(NamedTuple):
@@ -41,6 +52,13 @@ class CameraFacts(NamedTuple):
     exposure_s: float  # From the first opening to the last closing
     interval_s: float  # Between two pictures if a command gives none
     storage_mib: Callable[[], tuple[float, float]]  # Total and available
+    horizontal_field_deg: float = 0.0
+    video: VideoFacts | None = None  # None if it sends none
+    on_gimbal: bool = False  # Whether it is on the gimbal of the link
+    parameters: tuple[CameraParameter, ...] = ()  # What ground stations can change
+    # Returns the span and the interval of the exposures with other values; raises ConfigError if they cannot be.
+    changed: Changed | None = None
+    definition: tuple[int, str] = (0, "")  # Version and URI of the file that describes the parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +70,7 @@ class Capture:
     command: str  # Such as IMAGE_START_CAPTURE
     sender: Sender  # System and component that sent it
     sequence: int  # Number that the sender gave the picture, 0 if none
+    settings: Mapping[str, float] = field(default_factory=dict)  # Those that can be changed, by the key of the config
 
     @property
     def about(self) -> dict[str, Any]:
@@ -81,14 +100,14 @@ class _Now(NamedTuple):
     boot_ms: int  # Time since the vehicle booted
     above_home_m: float  # Height of the vehicle
     sender: Sender
+    gimbal: int = 0  # Component of the gimbal, or its number; 0 if none
 
     @classmethod
     def of(cls, receiver: Receiver, host_s: float, sender: Sender) -> Self:
         """Return the time of an arrival by `time.monotonic`, s, on the vehicle's clocks."""
-        utc_minus_host_s, host_minus_boot_s = receiver.clock.utc_minus_host_s, receiver.clock.host_minus_boot_s
-        boot_s = 0.0 if host_minus_boot_s is None else max(host_s - host_minus_boot_s, 0.0)
-        utc_s = None if utc_minus_host_s is None else host_s + utc_minus_host_s
-        return cls(host_s, utc_s, round(boot_s * 1e3) % 2**32, receiver.above_home_m, sender)
+        utc_s, boot_s = receiver.clock.now(host_s)
+        boot_ms = round(boot_s * 1e3) % 2**32
+        return cls(host_s, utc_s, boot_ms, receiver.above_home_m, sender, receiver.gimbal.device)
 
 
 class _Series(NamedTuple):
@@ -112,6 +131,8 @@ class CameraComponent:
         self._facts = facts
         self._component = component
         self._delay_s = delay_s
+        self._span_s, self._interval_s = facts.exposure_s, facts.interval_s
+        self._parameters = CameraParameters(facts.parameters)
         m = self._mavlink = dialect()
         self._decode: Callable[[bytearray], Any] = m.MAVLink(None).decode
         self._packed: tuple[int, Packer] | None = None
@@ -129,6 +150,7 @@ class CameraComponent:
         self._heartbeat_s = -inf
         # What the user should know; taken from the left by the link.
         self.messages: deque[str] = deque()
+        self._of_streams = {m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION, m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS}
         self._numbers = {m.MAVLINK_MSG_ID_COMMAND_LONG, m.MAVLINK_MSG_ID_COMMAND_INT}
         self._makers: dict[int, Callable[[_Now], Any]] = {
             m.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
@@ -136,6 +158,9 @@ class CameraComponent:
             m.MAVLINK_MSG_ID_STORAGE_INFORMATION: self._storage,
             m.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: self._status,
         }
+        if facts.video is not None:
+            self._makers[m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION] = self._video_information
+            self._makers[m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS] = self._video_status
         self._commands: dict[int, Callable[[Any, _Now], int]] = {
             m.MAV_CMD_REQUEST_MESSAGE: lambda command, now: self._send(command.param1, command.param2, now),
             m.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: self._resend,
@@ -147,6 +172,10 @@ class CameraComponent:
             m.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: partial(
                 self._send_on_request, m.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS
             ),
+            m.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: partial(
+                self._send_of_stream, m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION
+            ),
+            m.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: partial(self._send_of_stream, m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS),
             m.MAV_CMD_IMAGE_START_CAPTURE: self._start,
             m.MAV_CMD_IMAGE_STOP_CAPTURE: lambda _, __: self._stop(),
             m.MAV_CMD_DO_DIGICAM_CONTROL: self._digicam,
@@ -158,7 +187,8 @@ class CameraComponent:
 
     def receive(self, packet: Packet, receiver: Receiver, now_s: float) -> None:
         """Process a packet that arrived at a time by `time.monotonic`, s; other than commands to it are ignored."""
-        if packet.number not in self._numbers or receiver.chosen is None:
+        numbers = self._numbers | self._parameters.numbers
+        if packet.number not in numbers or receiver.chosen is None:
             return
         try:
             command = self._decode(bytearray(packet.content))
@@ -166,6 +196,9 @@ class CameraComponent:
             return
         is_mine = command.target_component == self._component
         if command.target_system not in {0, receiver.chosen[0]} or not (is_mine or command.target_component == 0):
+            return
+        if packet.number in self._parameters.numbers:
+            self._replies += self._parameters.replies(command, self._change)
             return
         m, run = self._mavlink, self._commands.get(command.command)
         first = len(self._replies)
@@ -204,11 +237,26 @@ class CameraComponent:
         with self._lock:
             return self._waiting[0] if self._waiting else None
 
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """Those that can be changed, as they are now, by the key of the config."""
+        return self._parameters.values
+
     def captured(self, image: CapturedImage) -> None:
         """Report the picture of `next`, drawn or not."""
         with self._lock:
             self._waiting.popleft()
         self._done.append(image)
+
+    def _change(self, settings: Mapping[str, float]) -> bool:
+        """Take other settings for the next picture; return whether they can be."""
+        assert self._facts.changed is not None
+        try:
+            self._span_s, self._interval_s = self._facts.changed(settings)
+        except ConfigError as error:
+            self.messages.append(f"settings of the camera are kept: {error}")
+            return False
+        return True
 
     # --- commands -----------------------------------------------------------------------------------------------------
 
@@ -233,7 +281,7 @@ class CameraComponent:
     def _trigger_control(self, command: Any, now: _Now) -> int:
         """Begin (parameter 1 is 1) or end (0) a series at the interval of the exposures; -1 changes nothing."""
         if command.param1 == 1:
-            return self._start_series("DO_TRIGGER_CONTROL", self._facts.interval_s, None, now)
+            return self._start_series("DO_TRIGGER_CONTROL", self._interval_s, None, now)
         return self._stop() if command.param1 == 0 else int(self._mavlink.MAV_RESULT_ACCEPTED)
 
     def _set_mode(self, command: Any, _: _Now) -> int:
@@ -269,7 +317,7 @@ class CameraComponent:
         if now.utc_s is None:
             self.messages.append(f"{name}: no pictures, because UTC is not known yet")
             return int(m.MAV_RESULT_TEMPORARILY_REJECTED)
-        shortest_s = self._facts.exposure_s
+        shortest_s = self._span_s
         if interval_s < shortest_s:
             self.messages.append(f"{name}: every {shortest_s:g} s: {interval_s:g} s are shorter than an exposure")
         start_utc_s = max(now.utc_s + self._delay_s, self._busy_until_utc_s)
@@ -289,9 +337,9 @@ class CameraComponent:
             if len(self._waiting) >= _MOST_WAITING:
                 self.messages.append(f"{name}: no picture, because {_MOST_WAITING} wait to be drawn")
                 return False
-            self._waiting.append(Capture(self._count, start_utc_s, name, sender, sequence))
+            self._waiting.append(Capture(self._count, start_utc_s, name, sender, sequence, self.settings))
         self._count += 1
-        self._busy_until_utc_s = start_utc_s + self._facts.exposure_s
+        self._busy_until_utc_s = start_utc_s + self._span_s
         return True
 
     # --- messages -----------------------------------------------------------------------------------------------------
@@ -308,6 +356,9 @@ class CameraComponent:
         maker = self._makers.get(int(number)) if isfinite(number) else None
         if maker is None:
             return int(m.MAV_RESULT_UNSUPPORTED)
+        # A number that a station leaves open is NaN in MAVLink.
+        if number in self._of_streams and isfinite(parameter) and parameter not in {0, _STREAM_ID}:
+            return int(m.MAV_RESULT_DENIED)
         if now is not None:
             self._replies.append(maker(now))
         return int(m.MAV_RESULT_ACCEPTED)
@@ -315,6 +366,10 @@ class CameraComponent:
     def _send_on_request(self, number: int, command: Any, now: _Now) -> int:
         """Answer an older request for one message, whose parameter 1 is 1."""
         return self._send(number, 0.0, now if command.param1 else None)
+
+    def _send_of_stream(self, number: int, command: Any, now: _Now) -> int:
+        """Answer an older request for a message about a video stream, whose parameter 1 is the stream, 0 all."""
+        return self._send(number, command.param1, now)
 
     def _resend(self, command: Any, now: _Now) -> int:
         return self._send(self._mavlink.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED, command.param1, now)
@@ -340,9 +395,10 @@ class CameraComponent:
             facts.width_px,
             facts.height_px,
             0,
-            m.CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
-            0,
-            b"",
+            m.CAMERA_CAP_FLAGS_CAPTURE_IMAGE | (0 if facts.video is None else m.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM),
+            facts.definition[0],
+            facts.definition[1].encode(),
+            now.gimbal if facts.on_gimbal else 0,
         )
 
     def _settings(self, now: _Now) -> Any:
@@ -367,6 +423,26 @@ class CameraComponent:
             self._facts.storage_mib()[1],
             self._count,
         )
+
+    def _video_information(self, _: _Now) -> Any:
+        m, video = self._mavlink, self._facts.video
+        assert video is not None
+        # Of a stream that is sent to a ground station, the port at which it listens.
+        name, uri = b"night sky", str(video.port).encode()
+        return m.MAVLink_video_stream_information_message(
+            _STREAM_ID, 1, m.VIDEO_STREAM_TYPE_RTPUDP, *self._video(), name, uri, m.VIDEO_STREAM_ENCODING_H264
+        )
+
+    def _video_status(self, _: _Now) -> Any:
+        return self._mavlink.MAVLink_video_stream_status_message(_STREAM_ID, *self._video())
+
+    def _video(self) -> tuple[float, ...]:
+        """Return flags, frame rate, size, bit rate (unknown), rotation and field of view of the video."""
+        facts, video = self._facts, self._facts.video
+        assert video is not None
+        size_px = facts.width_px // 2 * 2, facts.height_px // 2 * 2
+        running = self._mavlink.VIDEO_STREAM_STATUS_FLAGS_RUNNING
+        return running, video.frames_per_s, *size_px, 0, 0, round(facts.horizontal_field_deg)
 
     def _image(self, image: CapturedImage, now: _Now) -> Any:
         since_s = 0.0 if now.utc_s is None else now.utc_s - image.capture.start_utc_s
