@@ -83,44 +83,119 @@ class LineChain:
             weight = np.broadcast_to(self.duration[:, np.newaxis], self.length_px.shape)
         return weight if self.hidden is None else np.where(self.hidden, 0.0, weight)
 
-    def near(self, point_px: Float, reach_px: Float) -> NDArray[np.intp]:
+    def near(self, point_px: Float, reach_px: Float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return which lines are nearer to a point of their star, (m, 2) px, than a distance, (m,) px.
 
-        They are numbers of a table of lines and stars: most lines are too far to matter.
+        They are numbers of a table of lines and stars, and the numbers of their stars: most lines are too far to
+        matter.
         """
-        off_px = point_px.T[:, np.newaxis] - self.middle_px
-        reach = self.length_px / 2 + reach_px
+        distance2 = self.middle_px[0] - point_px[:, 0]
+        distance2 *= distance2
+        across = self.middle_px[1] - point_px[:, 1]
+        across *= across
+        distance2 += across
+        reach = self.length_px / 2
+        reach += reach_px
         reach *= reach
-        is_near = np.einsum("anm,anm->nm", off_px, off_px) < reach
+        is_near = distance2 < reach
         if self.hidden is not None:
             is_near &= ~self.hidden
-        return np.flatnonzero(is_near)
+        line, star = is_near.nonzero()
+        return line * is_near.shape[1] + star, star
 
-    def signal_at(
-        self, point_px: Float, sigma_px: float, transmission: Float | None, near: NDArray[np.intp] | None = None
-    ) -> Float:
-        """Return the signal of stars with a standard deviation at a point each, over their flux, (m,) 1/px^2.
 
-        `point_px` (m, 2) are positions (x, y); `transmission` (n, m) is what reaches the camera during each line;
-        `near`: the lines that matter there, if known.
+class NearLines(NamedTuple):
+    """Lines that are near a point of their star, for Gaussians of one width."""
+
+    star: NDArray[np.intp]  # (p,) the star of each line
+    sigma_px: float
+    middle_px: tuple[Float, Float]  # (p,) columns and rows of their middles, px
+    along: tuple[Float, Float]  # (p,) columns and rows of unit vectors along them
+    density: "_Density"
+    weight: Float  # (p,) the fraction of the star's flux
+    transmission: Float | None  # (p,) what reaches the camera during each line; None for all
+
+    @classmethod
+    def of(
+        cls, chain: LineChain, point_px: Float, reach_px: Float, sigma_px: float, transmission: Float | None
+    ) -> Self:
+        """Return the lines of a chain that are near a point of their star, (m, 2) px.
+
+        `reach_px` (m,): how far from the point the signal is evaluated; `transmission` (n, m).
         """
-        if near is None:
-            near = self.near(point_px, np.full(len(point_px), _FAR_SIGMA * sigma_px))
-        line, star = np.divmod(near, len(point_px))
-        length_px = np.maximum(self.length_px.ravel().take(near), 1e-9)
-        along_x, along_y = (step.ravel().take(near) / length_px for step in self.step_px)
-        off_x, off_y = (
-            (at.take(star) - middle.ravel().take(near)) / sigma_px
-            for at, middle in zip(point_px.T, self.middle_px, strict=True)
-        )
-        s = off_x * along_x + off_y * along_y
-        across = off_x * along_y - off_y * along_x
-        weight = self.duration.take(line) if self.recorded is None else self.recorded.ravel().take(near)
-        signal = weight * _density(s, length_px / sigma_px) * np.exp(-0.5 * across * across)
-        if transmission is not None:
-            signal *= transmission.ravel().take(near)
-        summed = np.bincount(star, signal, minlength=len(point_px))
-        return np.asarray(summed / (np.sqrt(2 * np.pi) * sigma_px**2))
+        near, star = chain.near(point_px, reach_px + _FAR_SIGMA * sigma_px)
+        length_px = np.maximum(chain.length_px.ravel().take(near), 1e-9)
+        if chain.recorded is None:
+            weight = chain.duration.take(near // chain.length_px.shape[1])
+        else:
+            weight = chain.recorded.ravel().take(near)
+        along_x, along_y = (step.ravel().take(near) / length_px for step in chain.step_px)
+        middle_x, middle_y = (middle.ravel().take(near) for middle in chain.middle_px)
+        passing = None if transmission is None else transmission.ravel().take(near)
+        density = _Density.of(length_px / sigma_px)
+        return cls(star, sigma_px, (middle_x, middle_y), (along_x, along_y), density, weight, passing)
+
+    def signal_at(self, point_px: Float) -> Float:
+        """Return the signal of stars at a point each, (m, 2) px, over their flux, (m,) 1/px^2."""
+        off_x, off_y = (at.take(self.star) - middle for at, middle in zip(point_px.T, self.middle_px, strict=True))
+        off_x /= self.sigma_px
+        off_y /= self.sigma_px
+        along_x, along_y = self.along
+        s = off_x * along_x
+        s += off_y * along_y
+        across = off_x * along_y
+        across -= off_y * along_x
+        signal = self.weight * self.density.at(s)
+        signal *= _half_square_exponential(across)
+        if self.transmission is not None:
+            signal *= self.transmission
+        summed = np.bincount(self.star, signal, minlength=len(point_px))
+        return np.asarray(summed / (np.sqrt(2 * np.pi) * self.sigma_px**2))
+
+
+class _Density(NamedTuple):
+    """The light of lines along them; lengths in sigma."""
+
+    short: NDArray[np.intp] | None  # Indices of short lines and of the others; None for all of a kind
+    long: NDArray[np.intp] | None
+    variance: Float  # Of short lines, square sigma
+    length: Float  # Of the others, sigma
+
+    @classmethod
+    def of(cls, length: Float) -> Self:
+        """Return that of lines of some lengths, (p,)."""
+        is_short = length < _SHORT_SIGMA
+        short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
+        variance = length.take(short)
+        variance *= variance
+        variance /= 12
+        variance += 1
+        is_mixed = short.size and long.size
+        return cls(*((short, long) if is_mixed else (None, None)), variance, length.take(long))
+
+    def at(self, s: Float) -> Float:
+        """Return the light per sigma at distances from the middles of the lines, (p,)."""
+        if self.short is None or self.long is None:
+            return self._of_long(s) if self.length.size else self._of_short(s)
+        density = np.empty_like(s)
+        density[self.short] = self._of_short(s.take(self.short))
+        density[self.long] = self._of_long(s.take(self.long))
+        return density
+
+    def _of_short(self, s: Float) -> Float:
+        density = -0.5 * s
+        density *= s
+        density /= self.variance
+        np.exp(density, out=density)
+        density /= np.sqrt(2 * np.pi * self.variance)
+        return density
+
+    def _of_long(self, s: Float) -> Float:
+        half = self.length / 2
+        density = normal_cumulative(s + half)
+        density -= normal_cumulative(s - half)
+        density /= self.length
+        return density
 
 
 def line_chains(
@@ -184,26 +259,28 @@ def _while_open(
     return xy_px, duration, open_s
 
 
-def _density(s: Float, length: Float) -> Float:
-    """Return the light per sigma of lines at a distance s from their middles along them; lengths in sigma."""
-    density = np.empty_like(s)
-    is_short = length < _SHORT_SIGMA
-    short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
-    size = length.take(short)
-    variance = 1 + size * size / 12
-    off = s.take(short)
-    density[short] = np.exp(-0.5 * off * off / variance) / np.sqrt(2 * np.pi * variance)
-    size, at = length.take(long), s.take(long)
-    density[long] = (normal_cumulative(at + size / 2) - normal_cumulative(at - size / 2)) / size
-    return density
-
-
 def normal_cumulative(z: Float) -> Float:
     """Return the cumulative distribution of the unit Gaussian to 1e-7: Abramowitz & Stegun, 26.2.17."""
-    t = 1 / (1 + 0.2316419 * np.abs(z))
-    polynomial = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
-    tail = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) * polynomial
-    return np.asarray(np.where(z < 0, tail, 1 - tail))
+    t = np.abs(z)
+    t *= 0.2316419
+    t += 1
+    np.divide(1, t, out=t)
+    polynomial = t * 1.330274429
+    for coefficient in (-1.821255978, 1.781477937, -0.356563782, 0.319381530):
+        polynomial += coefficient
+        polynomial *= t
+    tail = _half_square_exponential(z) / np.sqrt(2 * np.pi)
+    tail *= polynomial
+    cumulative = 1 - tail
+    np.copyto(cumulative, tail, where=z < 0)
+    return cumulative
+
+
+def _half_square_exponential(z: Float) -> Float:
+    """Return exp(-z^2 / 2)."""
+    exponential = -0.5 * z
+    exponential *= z
+    return np.exp(exponential, out=exponential)
 
 
 # Example directions across and down the image.
@@ -468,19 +545,19 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def near(self, middle_px: Float, step_px: Float) -> list[NDArray[np.intp]]:
+    def near(self, middle_px: Float, step_px: Float) -> list[NearLines]:
         """Return the lines that matter along a line of each star of the scene, (m, 2) px, for each Gaussian."""
         middle_px, half_px = middle_px[self.stars], np.linalg.norm(step_px[self.stars], axis=1) / 2
         return [
-            self.chain.near(middle_px - offset_px, half_px + _FAR_SIGMA * sigma_px)
+            NearLines.of(self.chain, middle_px - offset_px, half_px, sigma_px, self.transmission)
             for _, sigma_px, offset_px in self.gaussians
         ]
 
-    def signal_at(self, point_px: Float, near: list[NDArray[np.intp]]) -> Float:
+    def signal_at(self, point_px: Float, near: list[NearLines]) -> Float:
         """Return the signal at a point of each star of the scene, (m, 2) px, of those with this profile."""
         signals = [
-            fraction * self.chain.signal_at(point_px[self.stars] - offset_px, sigma_px, self.transmission, lines)
-            for (fraction, sigma_px, offset_px), lines in zip(self.gaussians, near, strict=True)
+            fraction * lines.signal_at(point_px[self.stars] - offset_px)
+            for (fraction, _, offset_px), lines in zip(self.gaussians, near, strict=True)
         ]
         return np.asarray(np.sum(signals, axis=0))
 
