@@ -49,10 +49,9 @@ class SampledPaths:
         """Sum of the samples weighted by their time fractions, (2, m) px; NaN where any sample is NaN."""
         return np.stack([self.time_fraction @ coordinate for coordinate in self.xy_px])
 
-    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:  # noqa: ARG002
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
         """Yield positions of the stars with some indices, (k,), a block of times at a time.
 
-        `finer`: into how many parts `ConicPaths` divides those that it has.
         Yields `xy_px` (n, k, 2): positions (x, y), px, NaN behind the camera and below the horizon; and
         `time_fraction` (n,): fraction of the exposure that each sample represents.
         """
@@ -205,57 +204,67 @@ class ConicPaths:
         parameter = parameter_at(elapsed, self.weight[segment])
         return self.camera.project(_quadratic(self._quadratics(), segment, parameter).transpose(1, 2, 0))
 
-    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:
-        """Yield the positions of some of the stars, as `SampledPaths.samples` does: of finer parts of segments."""
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
+        """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
         if not stars.size:
             return
-        quadratics, counts = self._quadratics(stars), finer * self.sample_counts
+        quadratics, times = self._quadratics(stars), self._times(1)
+        parameter, block_size = self._parameters(times), times_per_block(len(stars))
+        for start in range(0, len(times.segment), block_size):
+            block = slice(start, start + block_size)
+            vectors = _quadratic(quadratics, times.segment[block], parameter[block])
+            yield self.camera.project(vectors.transpose(1, 2, 0)), times.time_fraction[block]
+
+    def _times(self, finer: int) -> "_SampleTimes":
+        """Return the times of all samples, each segment divided `finer` times as finely as `sample_counts` says."""
+        counts = finer * self.sample_counts
         segment = np.repeat(np.arange(len(counts)), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts)
         elapsed = (np.arange(len(segment)) - first + 0.5) / counts[segment]
-        parameter = parameter_at(elapsed, self.weight[segment])
-        time_fraction = self.time_fraction[segment] / counts[segment]
-        block_size = times_per_block(len(stars))
-        for start in range(0, len(segment), block_size):
-            block = slice(start, start + block_size)
-            vectors = _quadratic(quadratics, segment[block], parameter[block])
-            yield self.camera.project(vectors.transpose(1, 2, 0)), time_fraction[block]
+        return _SampleTimes(counts, segment, elapsed, self.time_fraction[segment] / counts[segment])
 
-    def blocks_of(self, segment: NDArray[np.intp], finer: int) -> Iterator[slice]:
-        """Yield some of p segments, (p,), at a time, to bound the memory of `samples_of`."""
-        size = max(1, _POSITIONS_PER_BLOCK // (finer * int(self.sample_counts.max()) + 2))
-        for first in range(0, len(segment), size):
-            yield slice(first, first + size)
+    def _parameters(self, times: "_SampleTimes") -> Float:
+        return parameter_at(times.elapsed, self.weight[times.segment])
 
-    def samples_of(self, segment: NDArray[np.intp], star: NDArray[np.intp], finer: int) -> "SegmentSamples":
-        """Return the samples of some segments of some stars, (p,) both: of finer parts, as `samples` does."""
-        counts = finer * self.sample_counts
-        ends = np.cumsum(counts)
-        firsts = ends - counts
-        # And one on either side, which belongs to another segment, for the distance between samples.
-        many = counts[segment] + 2
-        last = np.cumsum(many)
-        sample = np.arange(last[-1]) + np.repeat(firsts[segment] - 1 - (last - many), many)
-        own = np.ones(len(sample), dtype=np.bool_)
-        own[last - 1] = own[last - many] = False
-        np.clip(sample, 0, ends[-1] - 1, out=sample)
-        of_sample = np.repeat(np.arange(len(counts)), counts)[sample]
-        part = 1 / counts[of_sample]
-        elapsed = (sample - firsts[of_sample] + 0.5) * part
-        u = parameter_at(elapsed, self.weight[of_sample])
-        owner = np.repeat(star, many)
-        at = of_sample * self.nodes.shape[2] + owner
-        start, middle, end = (nodes.reshape(3, -1).take(at, axis=1) for nodes in self._weighted)
-        start *= (1 - u) * (1 - 2 * u)
-        middle *= 4 * u * (1 - u)
-        end *= u * (2 * u - 1)
-        start += middle
-        start += end
-        time_fraction = self.time_fraction[of_sample]
-        begins = np.cumsum(self.time_fraction)[of_sample] - time_fraction + (elapsed - 0.5 * part) * time_fraction
-        return SegmentSamples(
-            self.camera.project(start.T), sample, owner, begins, time_fraction * part, np.flatnonzero(own)
-        )
+    def segment_samples(
+        self, segment: NDArray[np.intp], star: NDArray[np.intp], finer: int
+    ) -> Iterator["SegmentSamples"]:
+        """Yield the samples of some segments of some stars, (p,) both, some of them at a time: see `_times`."""
+        if not len(segment):
+            return
+        times = self._times(finer)
+        u, begins = self._parameters(times), np.cumsum(times.time_fraction) - times.time_fraction
+        basis = (1 - u) * (1 - 2 * u), 4 * u * (1 - u), u * (2 * u - 1)
+        nodes = [of.reshape(3, -1) for of in self._weighted]
+        ends = np.cumsum(times.counts)
+        block = max(1, _POSITIONS_PER_BLOCK // (int(times.counts.max()) + 2))
+        for start in range(0, len(segment), block):
+            of_segment, of_star = segment[start : start + block], star[start : start + block]
+            # And one on either side, which belongs to another segment, for the distance between samples.
+            many = times.counts[of_segment] + 2
+            last = np.cumsum(many) - 1
+            first = last - many + 1
+            sample = np.arange(last[-1] + 1) + np.repeat(ends[of_segment] - many + 1 - first, many)
+            own = np.ones(len(sample), dtype=np.bool_)
+            own[first] = own[last] = False
+            np.clip(sample, 0, ends[-1] - 1, out=sample)
+            beside = np.concatenate([first, last])
+            at_beside = times.segment[sample[beside]] * self.nodes.shape[2] + np.tile(of_star, 2)
+            at = of_segment * self.nodes.shape[2] + of_star
+            vectors = np.zeros((3, len(sample)))
+            for of, weight in zip(nodes, basis, strict=True):
+                values = np.repeat(of.take(at, axis=1), many, axis=1)
+                values[:, beside] = of.take(at_beside, axis=1)
+                values *= weight.take(sample)
+                vectors += values
+            yield SegmentSamples(
+                self.camera.project(vectors.T),
+                sample,
+                np.flatnonzero(own),
+                np.repeat(of_star, many - 2),
+                begins.take(sample[own]),
+                times.time_fraction.take(sample[own]),
+            )
 
     def _weighted_nodes(self, nodes: Float) -> tuple[Float, Float, Float]:
         """Return the start, the middle and the end of each segment, the ends multiplied by their weights."""
@@ -278,15 +287,24 @@ class ConicPaths:
         return _projected(self.camera, self.nodes)
 
 
+class _SampleTimes(NamedTuple):
+    """When paths are sampled: in the middle of equal parts of each of s segments."""
+
+    counts: NDArray[np.intp]  # (s,) parts of each segment
+    segment: NDArray[np.intp]  # (n,) the segment of each part
+    elapsed: Float  # (n,) fraction of the segment that has elapsed
+    time_fraction: Float  # (n,) duration of each part as a fraction of the exposure
+
+
 class SegmentSamples(NamedTuple):
     """Samples of segments of paths, one after the other, each segment between two samples of its neighbours."""
 
     xy_px: Float  # (k, 2) positions (x, y), px; NaN behind the camera and below the horizon
     number: NDArray[np.intp]  # (k,) number of each sample on its path; that of a neighbour that there is not is its own
-    star: NDArray[np.intp]  # (k,) index of its star
-    begins: Float  # (k,) when the time that it represents begins, fractions of the exposure since the first segment
-    time_fraction: Float  # (k,) fraction of the exposure that it represents
     own: NDArray[np.intp]  # (q,) indices of those that are not of neighbours
+    star: NDArray[np.intp]  # (q,) index of the star of each of these
+    begins: Float  # (q,) when the time that it represents begins, fractions of the exposure since the first segment
+    time_fraction: Float  # (q,) fraction of the exposure that it represents
 
     def own_values(self, values: Float) -> tuple[Float, Float]:
         """Return those of values, (k,), that are of own samples, and by how much they change from one to the next."""

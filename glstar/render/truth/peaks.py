@@ -89,29 +89,25 @@ class LineChain:
         They are numbers of a table of lines and stars, and the numbers of their stars: most lines are too far to
         matter.
         """
-        distance2 = self.middle_px[0] - point_px[:, 0]
-        distance2 *= distance2
-        across = self.middle_px[1] - point_px[:, 1]
-        across *= across
-        distance2 += across
         reach = self.length_px / 2
         reach += reach_px
         reach *= reach
-        is_near = distance2 < reach
+        is_near = _square_distance(self.middle_px, *point_px.T) < reach
         if self.hidden is not None:
             is_near &= ~self.hidden
         line, star = is_near.nonzero()
         return line * is_near.shape[1] + star, star
 
 
-class NearLines(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class NearLines:
     """Lines that are near a point of their star, for Gaussians of one width."""
 
     star: NDArray[np.intp]  # (p,) the star of each line
     sigma_px: float
     middle_px: tuple[Float, Float]  # (p,) columns and rows of their middles, px
     along: tuple[Float, Float]  # (p,) columns and rows of unit vectors along them
-    density: "_Density"
+    length_px: Float  # (p,) their lengths, px
     weight: Float  # (p,) the fraction of the star's flux
     transmission: Float | None  # (p,) what reaches the camera during each line; None for all
 
@@ -124,33 +120,84 @@ class NearLines(NamedTuple):
         `reach_px` (m,): how far from the point the signal is evaluated; `transmission` (n, m).
         """
         near, star = chain.near(point_px, reach_px + _FAR_SIGMA * sigma_px)
-        length_px = np.maximum(chain.length_px.ravel().take(near), 1e-9)
+        length_px = chain.length_px.ravel().take(near)
         if chain.recorded is None:
             weight = chain.duration.take(near // chain.length_px.shape[1])
         else:
             weight = chain.recorded.ravel().take(near)
-        along_x, along_y = (step.ravel().take(near) / length_px for step in chain.step_px)
+        shortest_px = np.maximum(length_px, 1e-9)
+        along_x, along_y = (step.ravel().take(near) / shortest_px for step in chain.step_px)
         middle_x, middle_y = (middle.ravel().take(near) for middle in chain.middle_px)
         passing = None if transmission is None else transmission.ravel().take(near)
-        density = _Density.of(length_px / sigma_px)
-        return cls(star, sigma_px, (middle_x, middle_y), (along_x, along_y), density, weight, passing)
+        return cls(star, sigma_px, (middle_x, middle_y), (along_x, along_y), length_px, weight, passing)
 
-    def signal_at(self, point_px: Float) -> Float:
+    def nearer(self, point_px: Float, reach_px: Float) -> "SignalOfLines":
+        """Return the signal of those that are nearer to another point of their star; parameters of `of`."""
+        reach = self.length_px / 2
+        reach += (reach_px + _FAR_SIGMA * self.sigma_px).take(self.star)
+        near = np.flatnonzero(
+            _square_distance(self.middle_px, *(at.take(self.star) for at in point_px.T)) < reach * reach
+        )
+        if len(near) == len(self.star):
+            return SignalOfLines.of(self)
+        (middle_x, middle_y), (along_x, along_y) = (
+            [axis.take(near) for axis in of] for of in (self.middle_px, self.along)
+        )
+        return SignalOfLines.of(
+            NearLines(
+                self.star.take(near),
+                self.sigma_px,
+                (middle_x, middle_y),
+                (along_x, along_y),
+                self.length_px.take(near),
+                self.weight.take(near),
+                None if self.transmission is None else self.transmission.take(near),
+            )
+        )
+
+
+def _square_distance(middle_px: Sequence[Float] | Float, x_px: Float, y_px: Float) -> Float:
+    """Return the squared distances of middles of lines from points, square px."""
+    distance2 = middle_px[0] - x_px
+    distance2 *= distance2
+    down = middle_px[1] - y_px
+    down *= down
+    distance2 += down
+    return distance2
+
+
+class SignalOfLines(NamedTuple):
+    """The signal of lines that are near a point of their star, as a function of the point."""
+
+    lines: NearLines
+    density: "_Density"
+
+    @classmethod
+    def of(cls, lines: NearLines) -> Self:
+        """Return the signal of lines."""
+        return cls(lines, _Density.of(np.maximum(lines.length_px, 1e-9) / lines.sigma_px))
+
+    def at(self, point_px: Float) -> Float:
         """Return the signal of stars at a point each, (m, 2) px, over their flux, (m,) 1/px^2."""
-        off_x, off_y = (at.take(self.star) - middle for at, middle in zip(point_px.T, self.middle_px, strict=True))
-        off_x /= self.sigma_px
-        off_y /= self.sigma_px
-        along_x, along_y = self.along
-        s = off_x * along_x
-        s += off_y * along_y
-        across = off_x * along_y
-        across -= off_y * along_x
-        signal = self.weight * self.density.at(s)
+        lines = self.lines
+        off_x, off_y = (at.take(lines.star) for at in point_px.T)
+        off_x -= lines.middle_px[0]
+        off_y -= lines.middle_px[1]
+        off_x /= lines.sigma_px
+        off_y /= lines.sigma_px
+        along_x, along_y = lines.along
+        s, across = off_x * along_x, off_x * along_y
+        off_x = off_y * along_y
+        s += off_x
+        off_y *= along_x
+        across -= off_y
+        signal = self.density.at(s)
+        signal *= lines.weight
         signal *= _half_square_exponential(across)
-        if self.transmission is not None:
-            signal *= self.transmission
-        summed = np.bincount(self.star, signal, minlength=len(point_px))
-        return np.asarray(summed / (np.sqrt(2 * np.pi) * self.sigma_px**2))
+        if lines.transmission is not None:
+            signal *= lines.transmission
+        summed = np.bincount(lines.star, signal, minlength=len(point_px))
+        return np.asarray(summed / (np.sqrt(2 * np.pi) * lines.sigma_px**2))
 
 
 class _Density(NamedTuple):
@@ -159,19 +206,27 @@ class _Density(NamedTuple):
     short: NDArray[np.intp] | None  # Indices of short lines and of the others; None for all of a kind
     long: NDArray[np.intp] | None
     variance: Float  # Of short lines, square sigma
+    height: Float  # Square roots of 2 pi times the variances
     length: Float  # Of the others, sigma
+    half: Float  # Half of these
 
     @classmethod
     def of(cls, length: Float) -> Self:
         """Return that of lines of some lengths, (p,)."""
         is_short = length < _SHORT_SIGMA
         short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
-        variance = length.take(short)
-        variance *= variance
-        variance /= 12
-        variance += 1
         is_mixed = short.size and long.size
-        return cls(*((short, long) if is_mixed else (None, None)), variance, length.take(long))
+        of_short, of_long = (
+            (length.take(short), length.take(long)) if is_mixed else (length[: short.size], length[: long.size])
+        )
+        variance = 1 + of_short * of_short / 12
+        return cls(
+            *((short, long) if is_mixed else (None, None)),
+            variance,
+            np.sqrt(2 * np.pi * variance),
+            of_long,
+            of_long / 2,
+        )
 
     def at(self, s: Float) -> Float:
         """Return the light per sigma at distances from the middles of the lines, (p,)."""
@@ -187,13 +242,12 @@ class _Density(NamedTuple):
         density *= s
         density /= self.variance
         np.exp(density, out=density)
-        density /= np.sqrt(2 * np.pi * self.variance)
+        density /= self.height
         return density
 
     def _of_long(self, s: Float) -> Float:
-        half = self.length / 2
-        density = normal_cumulative(s + half)
-        density -= normal_cumulative(s - half)
+        density, before = normal_cumulative(np.stack([s + self.half, s - self.half]))
+        density -= before
         density /= self.length
         return density
 
@@ -545,42 +599,57 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def near(self, middle_px: Float, step_px: Float) -> list[NearLines]:
-        """Return the lines that matter along a line of each star of the scene, (m, 2) px, for each Gaussian."""
-        middle_px, half_px = middle_px[self.stars], np.linalg.norm(step_px[self.stars], axis=1) / 2
+    def around(self, middle_px: Float, half_px: Float) -> list[NearLines]:
+        """Return the lines that matter along any of k lines of each star, (k, m, 2) and (k, m) px, for each Gaussian."""
+        middle_px, half_px = middle_px[:, self.stars], half_px[:, self.stars]
+        centre_px = (middle_px.min(axis=0) + middle_px.max(axis=0)) / 2
+        # The search goes on from a point of one of the lines, by less than half of it.
+        reach_px = (np.linalg.norm(middle_px - centre_px, axis=-1) + 2 * half_px).max(axis=0)
         return [
-            NearLines.of(self.chain, middle_px - offset_px, half_px, sigma_px, self.transmission)
+            NearLines.of(self.chain, centre_px - offset_px, reach_px, sigma_px, self.transmission)
             for _, sigma_px, offset_px in self.gaussians
         ]
 
-    def signal_at(self, point_px: Float, near: list[NearLines]) -> Float:
+    def near(self, around: list[NearLines], middle_px: Float, half_px: Float) -> list[SignalOfLines]:
+        """Return those of lines that matter along a line of each star of the scene, (m, 2) and (m,) px."""
+        middle_px, half_px = middle_px[self.stars], half_px[self.stars]
+        return [
+            lines.nearer(middle_px - offset_px, half_px)
+            for lines, (_, _, offset_px) in zip(around, self.gaussians, strict=True)
+        ]
+
+    def signal_at(self, point_px: Float, near: list[SignalOfLines]) -> Float:
         """Return the signal at a point of each star of the scene, (m, 2) px, of those with this profile."""
         signals = [
-            fraction * lines.signal_at(point_px[self.stars] - offset_px)
+            fraction * lines.at(point_px[self.stars] - offset_px)
             for (fraction, _, offset_px), lines in zip(self.gaussians, near, strict=True)
         ]
-        return np.asarray(np.sum(signals, axis=0))
+        return signals[0] if len(signals) == 1 else np.asarray(np.sum(signals, axis=0))
 
 
 class _Search:
     """The largest signals on the image that have been found, and where."""
 
-    def __init__(self, camera: Camera, parts: Sequence[_Part], count: int) -> None:
+    def __init__(self, camera: Camera, parts: Sequence[_Part], points: BrightestPoints) -> None:
+        count = points.point_px.shape[1]
         self.largest = np.zeros(count)
         self.point_px, self.step_px = np.zeros((count, 2)), np.zeros((count, 2))
-        self._parts, self._last_px = parts, np.array([camera.width_px, camera.height_px]) - 0.5
+        self._last_px = np.array([camera.width_px, camera.height_px]) - 0.5
+        half_px = np.linalg.norm(points.step_px, axis=-1) / 2
+        self._parts = [(part, part.around(points.point_px, half_px)) for part in parts]
 
     def along(self, middle_px: Float, step_px: Float, places: Sequence[float]) -> None:
         """Evaluate the signal at places along a line of each star, from its middle, (m, 2) px, parts of its step."""
-        near = [part.near(middle_px, step_px) for part in self._parts]
+        half_px = np.linalg.norm(step_px, axis=1) / 2
+        near = [(part, part.near(around, middle_px, half_px)) for part, around in self._parts]
         for place in places:
             point_px, signal = (middle_px + place * step_px).clip(-0.5, self._last_px), np.zeros(len(middle_px))
-            for part, lines in zip(self._parts, near, strict=True):
+            for part, lines in near:
                 signal[part.stars] += part.signal_at(point_px, lines)
             is_larger = signal > self.largest
-            self.largest = np.where(is_larger, signal, self.largest)
-            self.point_px = np.where(is_larger[:, np.newaxis], point_px, self.point_px)
-            self.step_px = np.where(is_larger[:, np.newaxis], step_px, self.step_px)
+            np.copyto(self.largest, signal, where=is_larger)
+            np.copyto(self.point_px, point_px, where=is_larger[:, np.newaxis])
+            np.copyto(self.step_px, step_px, where=is_larger[:, np.newaxis])
 
 
 def _largest_signal(
@@ -596,11 +665,11 @@ def _largest_signal(
         for chain, transmission in zip(chains, transmissions, strict=True)
         for stars, gaussians in profiles
     ]
-    search = _Search(scene.camera, parts, points.point_px.shape[1])
+    search = _Search(scene.camera, parts, points)
     for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
         search.along(middle_px, step_px, _ALONG)
     for place in _NEARER:
-        search.along(search.point_px, search.step_px, (-place, place))
+        search.along(search.point_px.copy(), search.step_px.copy(), (-place, place))
     return search.largest
 
 

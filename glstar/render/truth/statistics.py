@@ -68,19 +68,18 @@ class TrailStatistics:
     ) -> None:
         """Add samples of segments of stars, (p,) both, while a rolling shutter records them in a part of its time."""
         count, radius_px = len(self.touching), scene.listed.truncation_radius_px
-        for block in paths.blocks_of(segment, _FINER):
-            samples = paths.samples_of(segment[block], star[block], _FINER)
-            xy, owner = samples.xy_px[samples.own], samples.star[samples.own]
+        for samples in paths.segment_samples(segment, star, _FINER):
+            owner, weight = samples.star, samples.time_fraction
             outside_px, step_px = samples.own_values(scene.camera.distance_outside_px(samples.xy_px))
             touching, on_image = _parts_within(outside_px, step_px, radius_px[owner])
-            begins, weight = samples.begins[samples.own], samples.time_fraction[samples.own]
             if part is not None:
-                weight = part.recorded_between(begins, begins + weight, owner)
+                weight = part.recorded_between(samples.begins, samples.begins + weight, owner)
             self.on_image += np.bincount(owner, weight * on_image, count)
             light = weight * touching
             self.touching += np.bincount(owner, light, count)
-            for axis in range(2):
-                self.sum_xy[axis] += np.bincount(owner, np.where(light > 0, light * xy[:, axis], 0.0), count)
+            for axis, values_px in enumerate(samples.xy_px.T):
+                moment = np.multiply(light, values_px[samples.own], out=np.zeros_like(light), where=light > 0)
+                self.sum_xy[axis] += np.bincount(owner, moment, count)
 
     def _add_samples(self, scene: Scene, paths: SampledPaths) -> None:
         """Add the paths of sub-exposures."""
@@ -176,12 +175,11 @@ def _parts_inside(
 
 def _parts_within(outside_px: Float, step_px: Float, radius_px: Float) -> tuple[Float, Float]:
     """Return `_parts_inside` of samples with changes from one to the next, px."""
-    # Beside a sample that is not visible, all of it or nothing.
-    step_px = np.maximum(np.nan_to_num(np.abs(step_px)), 1e-9)
-    inside = (np.clip(0.5 - (outside_px - border_px) / step_px, 0.0, 1.0) for border_px in (radius_px, 0.0))
-    hidden = np.isnan(outside_px)
-    within, on_image = (np.where(hidden, 0.0, part) for part in inside)
-    return within, on_image
+    step_px = np.abs(step_px)
+    # Beside a sample that is not visible, all of it or nothing; and nothing of what is not visible.
+    np.fmax(step_px, 1e-9, out=step_px)
+    within, on_image = (np.fmax((border_px - outside_px) / step_px + 0.5, 0.0) for border_px in (radius_px, 0.0))
+    return np.minimum(within, 1.0), np.minimum(on_image, 1.0)
 
 
 class _Inside(NamedTuple):
