@@ -221,7 +221,8 @@ class _Density(NamedTuple):
         )
         variance = 1 + of_short * of_short / 12
         return cls(
-            *((short, long) if is_mixed else (None, None)),
+            short if is_mixed else None,
+            long if is_mixed else None,
             variance,
             np.sqrt(2 * np.pi * variance),
             of_long,
@@ -246,10 +247,8 @@ class _Density(NamedTuple):
         return density
 
     def _of_long(self, s: Float) -> Float:
-        density, before = normal_cumulative(np.stack([s + self.half, s - self.half]))
-        density -= before
-        density /= self.length
-        return density
+        after, before = normal_cumulative(np.stack([s + self.half, s - self.half]))
+        return np.asarray((after - before) / self.length)
 
 
 def line_chains(
@@ -325,7 +324,7 @@ def normal_cumulative(z: Float) -> Float:
         polynomial *= t
     tail = _half_square_exponential(z) / np.sqrt(2 * np.pi)
     tail *= polynomial
-    cumulative = 1 - tail
+    cumulative = np.asarray(1 - tail)
     np.copyto(cumulative, tail, where=z < 0)
     return cumulative
 
@@ -600,7 +599,7 @@ class _Part(NamedTuple):
     gaussians: list[tuple[float, float, Float]]
 
     def around(self, middle_px: Float, half_px: Float) -> list[NearLines]:
-        """Return the lines that matter along any of k lines of each star, (k, m, 2) and (k, m) px, for each Gaussian."""
+        """Return for each Gaussian the lines that matter along any of k lines of each star, (k, m, 2) and (k, m) px."""
         middle_px, half_px = middle_px[:, self.stars], half_px[:, self.stars]
         centre_px = (middle_px.min(axis=0) + middle_px.max(axis=0)) / 2
         # The search goes on from a point of one of the lines, by less than half of it.

@@ -64,6 +64,7 @@ class TrailStatistics:
         paths: ConicPaths,
         segment: NDArray[np.intp],
         star: NDArray[np.intp],
+        *,
         part: RecordedPart | None = None,
     ) -> None:
         """Add samples of segments of stars, (p,) both, while a rolling shutter records them in a part of its time."""
@@ -124,7 +125,7 @@ class TrailStatistics:
         self.touching += part.scale * touching
         self.sum_xy += part.scale * sum_xy
         self.on_image += part.scale * paths.integral_between(part.opens, part.closes, inside.on_image)[0]
-        self._add_crossing(scene, paths, *(~inside.is_known).nonzero(), part)
+        self._add_crossing(scene, paths, *(~inside.is_known).nonzero(), part=part)
 
     def _add_recorded_samples(self, scene: Scene, part: RecordedPart) -> None:
         """Add the paths of sub-exposures."""
