@@ -34,8 +34,14 @@ def about_y(angle_rad: ArrayLike) -> Float:
 
 def about_z(angle_rad: ArrayLike) -> Float:
     """Return R3, the coordinate transformations, (..., 3, 3), for right-handed rotations of the axes about z."""
-    c, s, zero, one = _cosine_sine(angle_rad)
-    return _stack([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    C = np.zeros((*angle.shape, 3, 3))
+    # Every scene needs hundreds of them.
+    C[..., 0, 0] = C[..., 1, 1] = np.cos(angle)
+    C[..., 0, 1] = sine = np.sin(angle)
+    C[..., 1, 0] = -sine
+    C[..., 2, 2] = 1.0
+    return C
 
 
 def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:

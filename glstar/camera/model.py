@@ -278,7 +278,10 @@ class Camera:
 
 def _tangents(direction: Float) -> tuple[Float, Float, Float]:
     """Return x / z, y / z and z of vectors (..., 3); NaN for those that are not in front of the camera."""
-    z = np.where(direction[..., 2] > 1e-9, direction[..., 2], np.nan)
+    z = direction[..., 2]
+    is_ahead = z > 1e-9
+    if not is_ahead.all():
+        z = np.where(is_ahead, z, np.nan)
     return direction[..., 0] / z, direction[..., 1] / z, z
 
 

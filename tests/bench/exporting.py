@@ -11,15 +11,23 @@ rates       frames per second of `Export.run`: one process (steps overlap on thr
             busy with nothing else
 
 The start of the workers is not measured, as in an export of more than a minute.
+
+``--against REV`` compares with another revision instead, checked out into a folder of its own: the glstar of either
+draws the same frames in turns, and both draw each frame.  Of each step it prints the processor time of both and their
+ratio, for the flights and for steps of `glstar.Environment` (``environment``), and of the start of ``glstar export``
+until its first frame is written.
 """
 
 import argparse
 import os
 import platform
+import resource
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -32,6 +40,7 @@ from rich.table import Table
 
 from glstar import __version__
 from glstar.config import Config
+from glstar.export.environment import Environment
 from glstar.export.imagefiles.formats import encode
 from glstar.export.plan.frames import ExportOptions
 from glstar.export.run.executors import Executor, SerialExecutor
@@ -47,6 +56,7 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
 from tests.bench.realflights import REAL_FLIGHTS, add_logs_option, logs_of, missing_logs
+from tests.bench.revisions import HERE, Turns, checked_out, serve
 
 EVERY_S = 0.5
 
@@ -59,32 +69,48 @@ def main() -> None:
     arguments.add_argument("--flights", nargs="*", choices=names, default=names)
     arguments.add_argument("--workers", type=int, nargs="*", default=[1, os.cpu_count() or 1])
     arguments.add_argument("--dask", type=int, nargs="*", default=[])
+    arguments.add_argument("--against", metavar="REV", help="compare with another revision, or the folder of one")
+    arguments.add_argument("--serve", choices=[*names, ENVIRONMENT], help=argparse.SUPPRESS)
     add_logs_option(arguments)
     asked = arguments.parse_args()
+    if asked.serve:
+        with _steps(asked.serve, asked) as step:
+            serve(step)
+        return
     console = Console(width=120)
     console.print(
         f"glstar {__version__}, Python {platform.python_version()}, {os.cpu_count()} processors,"
         f" load {os.getloadavg()[0]:.1f}"
     )
-    settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": EVERY_S})
-    logs = logs_of(asked.logs)
-    for name in asked.flights:
-        with TemporaryDirectory() as folder:
-            directory = Path(folder) / "frames"
-            if name in REAL_FLIGHTS:
-                if name not in logs:
-                    continue
-                console.rule(REAL_FLIGHTS[name].about)
-                job = _whole_flight(settings, logs[name], directory, asked.frames)
-            else:
-                flight = None if name == "bundled" else turning(10.0, duration_s=EVERY_S * (asked.frames + 2))
-                console.rule("the bundled flight" if flight is None else "a turn at 10 deg/s, logged at 50 Hz")
-                # The log names the flight, and is read where no other is given.
-                options = ExportOptions(frames=asked.frames)
-                job = prepare_export(settings, asset("adelaide.BIN"), directory, options, flight=flight)
-            _measure(job, asked.workers, asked.dask, console)
+    flights = [name for name in asked.flights if name not in REAL_FLIGHTS or name in logs_of(asked.logs)]
+    if asked.against:
+        with nullcontext(Path(asked.against)) if Path(asked.against).is_dir() else checked_out(asked.against) as tree:
+            _compare(flights, asked, {"this": HERE, asked.against: tree}, console)
+    else:
+        for name in flights:
+            with TemporaryDirectory() as folder:
+                console.rule(_ABOUT[name])
+                _measure(_job(name, Path(folder), asked), asked.workers, asked.dask, console)
     if message := missing_logs(asked.logs):
         console.print(message, style="bold red")
+
+
+_ABOUT = {
+    "bundled": "the bundled flight",
+    "turn": "a turn at 10 deg/s, logged at 50 Hz",
+    **{name: flight.about for name, flight in REAL_FLIGHTS.items()},
+}
+
+
+def _job(name: str, folder: Path, asked: argparse.Namespace) -> Export:
+    """Return the export of a flight."""
+    settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": EVERY_S})
+    directory = folder / "frames"
+    if name in REAL_FLIGHTS:
+        return _whole_flight(settings, logs_of(asked.logs)[name], directory, asked.frames)
+    flight = None if name == "bundled" else turning(10.0, duration_s=EVERY_S * (asked.frames + 2))
+    # The log names the flight, and is read where no other is given.
+    return prepare_export(settings, asset("adelaide.BIN"), directory, ExportOptions(frames=asked.frames), flight=flight)
 
 
 def _whole_flight(settings: Config, log: Path, directory: Path, frames: int) -> Export:
@@ -125,38 +151,137 @@ def _measure(export: Export, workers: list[int], dask: list[int], console: Conso
 def _stages(export: Export, console: Console) -> float:
     """Print the processor time of each step; return the sum, ms."""
     times: dict[str, list[float]] = {}
-
-    def timed(step: str, work: Callable[[], object]) -> object:
-        began_s = time.process_time()
-        result = work()
-        times.setdefault(step, []).append(1e3 * (time.process_time() - began_s))
-        return result
-
-    path = export.directory.parent / "a.png"
-    task, numbers = export.task, export.numbers.tolist()
+    numbers = export.numbers.tolist()
     with GLRenderer.headless() as renderer:
         console.print(renderer.driver)
-        task.draw(renderer, numbers[0])  # compiles the shaders
+        step = _Frame(export, renderer)
         for number in numbers[:: max(1, len(numbers) // 40)]:
-            composed = timed("scene", lambda number=number: task.frames.compose(number))
-            pending = timed("draw", lambda composed=composed: task.begin(renderer, composed))
-            frame = timed("read", pending.frame)
-            line = timed(
-                "truth", lambda c=composed, f=frame: frame_truth(c.scene, f, number=c.number, file="frame.png")
-            )
-            image = timed("PNG", lambda frame=frame: encode(frame.pixels, "png"))
-            timed("write", lambda content=image + line: path.write_bytes(content))
+            for name, ms in step(number).items():
+                times.setdefault(name, []).append(ms)
     table = Table("step", "median ms", "mean ms", "fraction of the mean", title="processor time per frame")
     means = {step: statistics.fmean(values) for step, values in times.items()}
     total_ms = sum(means.values())
-    for step, values in times.items():
+    for name, values in times.items():
         table.add_row(
-            step, f"{statistics.median(values):.1f}", f"{means[step]:.1f}", f"{100 * means[step] / total_ms:.0f} %"
+            name, f"{statistics.median(values):.1f}", f"{means[name]:.1f}", f"{100 * means[name] / total_ms:.0f} %"
         )
     table.add_row("all", "", f"{total_ms:.1f}", "100 %")
     console.print(table)
-    console.print(f"OpenCV's PNG of the same: {_opencv_ms(frame.pixels):.1f} ms")
+    console.print(f"OpenCV's PNG of the same: {_opencv_ms(step.pixels):.1f} ms")
     return total_ms
+
+
+class _Frame:
+    """Draws frames of an export step by step, on one thread."""
+
+    def __init__(self, export: Export, renderer: GLRenderer) -> None:
+        self._task, self._renderer, self._path = export.task, renderer, export.directory.parent / "a.png"
+        self._task.draw(renderer, int(export.numbers[0]))  # compiles the shaders
+        self.pixels: NDArray[Any] = np.zeros((1, 1), np.uint8)
+
+    def __call__(self, number: int) -> dict[str, float]:
+        """Draw a frame, and return the processor time of each step, ms."""
+        times: dict[str, float] = {}
+
+        def timed(step: str, work: Callable[[], Any]) -> Any:
+            began_s = time.process_time()
+            result = work()
+            times[step] = 1e3 * (time.process_time() - began_s)
+            return result
+
+        task = self._task
+        composed = timed("scene", lambda: task.frames.compose(number))
+        pending = timed("draw", lambda: task.begin(self._renderer, composed))
+        frame = timed("read", pending.frame)
+        line = timed("truth", lambda: frame_truth(composed.scene, frame, number=number, file="frame.png"))
+        image = timed("PNG", lambda: encode(frame.pixels, "png"))
+        timed("write", lambda: self._path.write_bytes(image + line))
+        self.pixels = frame.pixels
+        return times
+
+
+# `Environment.step` with exposures of 0.05 s on an orbit.
+ENVIRONMENT = "environment"
+
+
+@contextmanager
+def _steps(name: str, asked: argparse.Namespace) -> Iterator[Callable[[int], dict[str, float]]]:
+    """Yield what does a step of a flight or of `glstar.Environment` and returns its processor times, ms."""
+    settings = Config().override(**{"camera.preset": asked.preset})
+    if name == ENVIRONMENT:
+        short = settings.override(**{"exposure.duration_s": 0.05, "exposure.interval_s": 0.1})
+        with Environment(short, flight="fly:orbit?radius_m=150&turns=5") as environment:
+
+            def fly(number: int) -> dict[str, float]:
+                began_s = time.process_time()
+                environment.step() if number else environment.reset(1)
+                return {"step": 1e3 * (time.process_time() - began_s), **_memory()}
+
+            yield fly
+        return
+    with TemporaryDirectory() as folder, GLRenderer.headless() as renderer:
+        export = _job(name, Path(folder), asked)
+        step = _Frame(export, renderer)
+        numbers = export.numbers.tolist()
+        yield lambda number: step(numbers[number % len(numbers)]) | _memory()
+
+
+def _memory() -> dict[str, float]:
+    return {"peak memory, MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+
+
+def _compare(flights: list[str], asked: argparse.Namespace, trees: dict[str, Path], console: Console) -> None:
+    """Print the processor time of each step with the glstar of two checkouts, in turns."""
+    ours, theirs = trees
+    table = Table("what", "step", theirs, ours, "ratio", title="processor time, ms, the mean of all frames")
+    for name in [*flights, ENVIRONMENT]:
+        logs = [] if asked.logs is None else ["--logs", str(asked.logs)]
+        options = ["--serve", name, "--frames", str(asked.frames), "--preset", asked.preset, *logs]
+        with Turns(trees, "tests.bench.exporting", *options) as turns:
+            taken = [turns.take(step) for step in range(asked.frames)]
+        for step in taken[-1][ours]:
+            pair = [statistics.fmean(turn[tree][step] for turn in taken[1:]) for tree in (theirs, ours)]
+            _add_ratio(table, name, step, *pair)
+        totals = [
+            [statistics.fmean(sum(turn[tree].get(step, 0.0) for step in of) for turn in taken[1:]) for tree in trees]
+            for of in (["scene", "truth"], ["scene", "draw", "read", "truth", "PNG", "write"])
+        ]
+        if name != ENVIRONMENT:
+            for label, (our_ms, their_ms) in zip(("scene and truth", "all"), totals, strict=True):
+                _add_ratio(table, name, label, their_ms, our_ms)
+    starts: dict[str, list[float]] = {tree: [] for tree in trees}
+    for _ in range(_STARTS):
+        for tree, path in trees.items():
+            starts[tree].append(_start_ms(path))
+    _add_ratio(table, "glstar export", "first file", *(min(starts[tree]) for tree in (theirs, ours)))
+    console.print(table)
+
+
+_STARTS = 5
+
+
+def _start_ms(tree: Path) -> float:
+    """Return the processor time of ``glstar export`` of a single frame, ms."""
+    with TemporaryDirectory() as folder:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [sys.executable, "-m", "glstar", "export", "demo", "-o", f"{folder}/frames", "--frames", "1"],
+            env={**_without_choice_of_bytecode(), "PYTHONPATH": str(tree)},
+            cwd=folder,
+            check=True,
+            capture_output=True,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return 1e3 * (after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime)
+
+
+def _without_choice_of_bytecode() -> dict[str, str]:
+    """Return the environment with which the second start finds compiled modules, as an installed glstar does."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+
+
+def _add_ratio(table: Table, name: str, step: str, theirs: float, ours: float) -> None:
+    table.add_row(name, step, f"{theirs:.2f}", f"{ours:.2f}", f"{ours / theirs:.2f}")
 
 
 def _opencv_ms(pixels: NDArray[Any]) -> float:

@@ -51,7 +51,10 @@ def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():
     end[0] = begin[0] + 1e-3
     (paths,) = scene.trails.star_paths(LENS, directions_eq, 1e3)
     steps = (np.arange(4000) + 0.5) / 4000
-    for star, integral_px in enumerate(paths.integral_between(begin, end).T):
+    every_segment = np.ones((len(paths.time_fraction), len(directions_eq)), dtype=np.bool_)
+    time_between, between_px = paths.integral_between(begin, end, every_segment)
+    np.testing.assert_allclose(time_between, end - begin, rtol=0, atol=1e-12)
+    for star, integral_px in enumerate(between_px.T):
         time = begin[star] + (end[star] - begin[star]) * steps
         expected_px = scene.positions(directions_eq[star : star + 1], time)[:, 0].mean(axis=0)
         np.testing.assert_allclose(integral_px / (end[star] - begin[star]), expected_px, rtol=0, atol=1e-3)

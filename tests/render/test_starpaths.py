@@ -35,6 +35,13 @@ def sampled(paths):
     return SampledPaths(np.moveaxis(xy, -1, 0), time_fraction)
 
 
+def weighted_sum_px(paths):
+    """Return the mean position of each star, (2, m) px."""
+    if isinstance(paths, SampledPaths):
+        return paths.weighted_sum_px
+    return paths.weighted_sum_of(np.ones((len(paths.time_fraction), STARS), dtype=np.bool_))
+
+
 @pytest.mark.parametrize("deg", [0.0, 1.0, 10.0, 60.0])
 def test_a_steady_rotation_is_a_conic_and_uniform_in_time(deg):
     """A single segment, about any axis: its path is within 1e-8 px of the true rotation."""
@@ -66,7 +73,7 @@ def test_the_weighted_sum_is_that_of_all_samples(segments):
     # That of conics is an integral.
     paths = random_paths(segments, FINE_PX)
     xy, time_fraction = all_samples(paths)
-    np.testing.assert_allclose(paths.weighted_sum_px.T, np.einsum("n,nmk->mk", time_fraction, xy), rtol=0, atol=3e-4)
+    np.testing.assert_allclose(weighted_sum_px(paths).T, np.einsum("n,nmk->mk", time_fraction, xy), rtol=0, atol=3e-4)
 
 
 @pytest.mark.parametrize("segments", [1, 2, 7, 60])
@@ -95,8 +102,40 @@ def test_the_pieces_of_paths_are_the_paths_a_few_segments_at_a_time(segments, sp
         assert len(pieces) <= 1 + paths.sample_counts.sum() / 100
     for of_pieces, of_paths in zip(zip(*map(all_samples, pieces), strict=True), all_samples(paths), strict=True):
         np.testing.assert_allclose(np.concatenate(of_pieces), of_paths, rtol=0, atol=1e-9)
-    weighted_sum_px = sum(piece.weighted_sum_px for piece in pieces)
-    np.testing.assert_allclose(weighted_sum_px, paths.weighted_sum_px, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(sum(map(weighted_sum_px, pieces)), weighted_sum_px(paths), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("finer", [1, 3])
+def test_samples_of_single_segments_are_those_of_the_whole_paths(finer):
+    paths = random_paths(7)
+    fine = replace(paths, spacing_px=paths.spacing_px)
+    vars(fine)["sample_counts"] = finer * paths.sample_counts
+    xy, time_fraction = all_samples(fine)
+    change = np.gradient(xy[..., 0], axis=0)
+    ends = np.cumsum(fine.sample_counts)
+    # The first segment of a star and the last one have a neighbour on one side only.
+    segment, star = np.array([0, 2, 2, 6]), np.array([5, 1, 9, 30])
+    (samples,) = paths.segment_samples(segment, star, finer)
+    own = np.concatenate([np.arange(ends[k] - fine.sample_counts[k], ends[k]) for k in segment])
+    np.testing.assert_array_equal(samples.star, np.repeat(star, fine.sample_counts[segment]))
+    np.testing.assert_allclose(samples.xy_px[samples.own], xy[own, samples.star], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(samples.time_fraction, time_fraction[own], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(samples.begins, (np.cumsum(time_fraction) - time_fraction)[own], rtol=0, atol=1e-12)
+    x_px, step_px = samples.own_values(samples.xy_px[:, 0])
+    np.testing.assert_allclose(x_px, xy[own, samples.star, 0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(step_px, change[own, samples.star], rtol=0, atol=1e-9)
+
+
+def test_the_bounds_of_paths_are_those_of_their_segments():
+    paths = random_paths(5, FINE_PX)
+    low, high = paths.segment_bounds_px
+    first = 0
+    (xy, _) = all_samples(paths)
+    for k, count in enumerate(paths.sample_counts):
+        of_segment = np.moveaxis(xy[first : first + count], -1, 0)
+        assert (of_segment.min(axis=1) >= low[:, k] - 1e-9).all()
+        assert (of_segment.max(axis=1) <= high[:, k] + 1e-9).all()
+        first += count
 
 
 @pytest.mark.parametrize("kind", [lambda paths: paths, sampled], ids=["conics", "samples"])
@@ -106,7 +145,7 @@ def test_a_star_that_is_hidden_for_some_time_has_no_bounds_and_no_sum(kind):
     paths = kind(paths)
     hidden = np.arange(STARS) == 7
     np.testing.assert_array_equal(np.isnan(paths.bounds_px), np.broadcast_to(hidden[:, np.newaxis], (2, STARS, 2)))
-    np.testing.assert_array_equal(np.isnan(paths.weighted_sum_px), np.broadcast_to(hidden, (2, STARS)))
+    np.testing.assert_array_equal(np.isnan(weighted_sum_px(paths)), np.broadcast_to(hidden, (2, STARS)))
     xy, _ = all_samples(paths)
     assert 0 < np.isnan(xy[:, 7, 0]).sum() < len(xy)
 

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import ceil, pi, radians
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float
+from glstar.arrays import Float, Mask
 from glstar.camera.distortion import LENS_MODELS
 from glstar.camera.model import Camera
 
@@ -48,10 +49,9 @@ class SampledPaths:
         """Sum of the samples weighted by their time fractions, (2, m) px; NaN where any sample is NaN."""
         return np.stack([self.time_fraction @ coordinate for coordinate in self.xy_px])
 
-    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:  # noqa: ARG002
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
         """Yield positions of the stars with some indices, (k,), a block of times at a time.
 
-        `finer`: into how many parts `ConicPaths` divides those that it has.
         Yields `xy_px` (n, k, 2): positions (x, y), px, NaN behind the camera and below the horizon; and
         `time_fraction` (n,): fraction of the exposure that each sample represents.
         """
@@ -110,43 +110,56 @@ class ConicPaths:
     @property
     def bounds_px(self) -> Float:
         """`SampledPaths.bounds_px`, or slightly larger bounds."""
-        start, middle, end = self._weighted
-        if self.camera.lens is not None:
-            return self._sampled_bounds_px
-        # A conic does not leave the triangle of its ends and the intersection of the tangents there.
-        apex = _projected(self.camera, 2 * middle - (start + end) / 2)
-        ends = self.nodes_px[:, ::2]
-        return _bounds(np.minimum(ends.min(axis=1), apex.min(axis=1)), np.maximum(ends.max(axis=1), apex.max(axis=1)))
+        low, high = self.segment_bounds_px
+        return _bounds(low.min(axis=1), high.max(axis=1))
 
-    @property
-    def _sampled_bounds_px(self) -> Float:
-        """The bounds of the ends, the quarters and the middles of segments, and of how far a curve leaves them."""
-        start, middle, end = (self.nodes_px[:, k : self.nodes_px.shape[1] - 2 + k : 2] for k in range(3))
-        early, late = self._quarters_px
-        low = np.minimum(self.nodes_px.min(axis=1), np.minimum(early, late).min(axis=1))
-        high = np.maximum(self.nodes_px.max(axis=1), np.maximum(early, late).max(axis=1))
-        bend_px = np.maximum(np.abs(start - 2 * early + middle), np.abs(middle - 2 * late + end)).max(axis=1) / 4
-        return _bounds(low - bend_px, high + bend_px)
+    @cached_property
+    def segment_bounds_px(self) -> tuple[Float, Float]:
+        """Minimum and maximum columns and rows of each segment, or slightly larger bounds, (2, s, m) px each.
 
-    @property
-    def weighted_sum_px(self) -> Float:
-        """The integral of position over the exposure, (2, m) px."""
-        return np.stack([self.time_fraction @ coordinate for coordinate in self._ninetieths_px]) / 90
-
-    def integral_between(self, begin: Float, end: Float) -> Float:
-        """Return the integral of the position of each star between two times of its own, (2, m) px.
-
-        `begin`, `end` (m,): elapsed fractions of the exposure since the start of the first segment.  Only the time
-        within the segments counts.
+        NaN where a position is NaN.
         """
-        since_start_px = np.zeros((2, len(self.time_fraction) + 1, len(begin)))
-        np.cumsum(self._ninetieths_px * (self.time_fraction[:, np.newaxis] / 90), axis=1, out=since_start_px[:, 1:])
+        start, middle, end = self._weighted
+        first_px, middle_px, last_px = self.nodes_px[:, :-2:2], self.nodes_px[:, 1::2], self.nodes_px[:, 2::2]
+        low, high = np.minimum(first_px, last_px), np.maximum(first_px, last_px)
+        if self.camera.lens is None:
+            # A conic does not leave the triangle of its ends and the intersection of the tangents there.
+            apex = _projected(self.camera, 2 * middle - (start + end) / 2)
+            return np.minimum(low, apex, out=low), np.maximum(high, apex, out=high)
+        # Of the ends, the quarters and the middle, and of how far a curve leaves them.
+        early, late = self._quarters_px
+        for at_px in (middle_px, early, late):
+            np.minimum(low, at_px, out=low)
+            np.maximum(high, at_px, out=high)
+        bend_px = np.maximum(np.abs(first_px - 2 * early + middle_px), np.abs(middle_px - 2 * late + last_px))
+        bend_px /= 4
+        return low - bend_px, high + bend_px
+
+    def weighted_sum_of(self, counted: Mask) -> Float:
+        """Return the integral of position over some of the segments of each star, (s, m): (2, m) px."""
+        return np.stack([self.time_fraction @ np.where(counted, axis, 0.0) for axis in self._ninetieths_px]) / 90
+
+    def integral_between(self, begin: Float, end: Float, counted: Mask) -> tuple[Float, Float]:
+        """Return the time, (m,), and the integral of position, (2, m) px, of each star between two times of its own.
+
+        `begin`, `end` (m,): elapsed fractions of the exposure since the start of the first segment; `counted` (s, m):
+        which segments of each star count.
+        """
+        since_start = np.zeros((3, len(self.time_fraction) + 1, len(begin)))
+        shares = self.time_fraction[:, np.newaxis] * counted
+        np.cumsum(shares, axis=0, out=since_start[0, 1:])
+        np.cumsum(np.where(counted, self._ninetieths_px * (shares / 90), 0.0), axis=1, out=since_start[1:, 1:])
         ends = np.cumsum(self.time_fraction)
         times = np.concatenate([begin, end]).clip(0.0, ends[-1])
         segment = ends.searchsorted(times, "right").clip(max=len(ends) - 1)
         star = np.tile(np.arange(len(begin)), 2)
-        integral_px = since_start_px[:, segment, star] + self._since_start_of(segment, star, times - ends[segment])
-        return np.asarray(integral_px[:, len(begin) :] - integral_px[:, : len(begin)])
+        before_end = times - ends[segment]
+        in_segment = np.vstack(
+            [self.time_fraction[segment] + before_end, self._since_start_of(segment, star, before_end)]
+        )
+        integral = since_start[:, segment, star] + np.where(counted[segment, star], in_segment, 0.0)
+        time, *xy = integral[:, len(begin) :] - integral[:, : len(begin)]
+        return time, np.stack(xy)
 
     def _since_start_of(self, segment: NDArray[np.intp], star: NDArray[np.intp], before_end: Float) -> Float:
         """Return integrals of the positions of stars since the start of a segment, all (n,): (2, n) px."""
@@ -191,21 +204,67 @@ class ConicPaths:
         parameter = parameter_at(elapsed, self.weight[segment])
         return self.camera.project(_quadratic(self._quadratics(), segment, parameter).transpose(1, 2, 0))
 
-    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float]]:
-        """Yield the positions of some of the stars, as `SampledPaths.samples` does: of finer parts of segments."""
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
+        """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
         if not stars.size:
             return
-        quadratics, counts = self._quadratics(stars), finer * self.sample_counts
+        quadratics, times = self._quadratics(stars), self._times(1)
+        parameter, block_size = self._parameters(times), times_per_block(len(stars))
+        for start in range(0, len(times.segment), block_size):
+            block = slice(start, start + block_size)
+            vectors = _quadratic(quadratics, times.segment[block], parameter[block])
+            yield self.camera.project(vectors.transpose(1, 2, 0)), times.time_fraction[block]
+
+    def _times(self, finer: int) -> "_SampleTimes":
+        """Return the times of all samples, each segment divided `finer` times as finely as `sample_counts` says."""
+        counts = finer * self.sample_counts
         segment = np.repeat(np.arange(len(counts)), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts)
         elapsed = (np.arange(len(segment)) - first + 0.5) / counts[segment]
-        parameter = parameter_at(elapsed, self.weight[segment])
-        time_fraction = self.time_fraction[segment] / counts[segment]
-        block_size = times_per_block(len(stars))
-        for start in range(0, len(segment), block_size):
-            block = slice(start, start + block_size)
-            vectors = _quadratic(quadratics, segment[block], parameter[block])
-            yield self.camera.project(vectors.transpose(1, 2, 0)), time_fraction[block]
+        return _SampleTimes(counts, segment, elapsed, self.time_fraction[segment] / counts[segment])
+
+    def _parameters(self, times: "_SampleTimes") -> Float:
+        return parameter_at(times.elapsed, self.weight[times.segment])
+
+    def segment_samples(
+        self, segment: NDArray[np.intp], star: NDArray[np.intp], finer: int
+    ) -> Iterator["SegmentSamples"]:
+        """Yield the samples of some segments of some stars, (p,) both, some of them at a time: see `_times`."""
+        if not len(segment):
+            return
+        times = self._times(finer)
+        u, begins = self._parameters(times), np.cumsum(times.time_fraction) - times.time_fraction
+        basis = (1 - u) * (1 - 2 * u), 4 * u * (1 - u), u * (2 * u - 1)
+        nodes = [of.reshape(3, -1) for of in self._weighted]
+        ends = np.cumsum(times.counts)
+        block = max(1, _POSITIONS_PER_BLOCK // (int(times.counts.max()) + 2))
+        for start in range(0, len(segment), block):
+            of_segment, of_star = segment[start : start + block], star[start : start + block]
+            # And one on either side, which belongs to another segment, for the distance between samples.
+            many = times.counts[of_segment] + 2
+            last = np.cumsum(many) - 1
+            first = last - many + 1
+            sample = np.arange(last[-1] + 1) + np.repeat(ends[of_segment] - many + 1 - first, many)
+            own = np.ones(len(sample), dtype=np.bool_)
+            own[first] = own[last] = False
+            np.clip(sample, 0, ends[-1] - 1, out=sample)
+            beside = np.concatenate([first, last])
+            at_beside = times.segment[sample[beside]] * self.nodes.shape[2] + np.tile(of_star, 2)
+            at = of_segment * self.nodes.shape[2] + of_star
+            vectors = np.zeros((3, len(sample)))
+            for of, weight in zip(nodes, basis, strict=True):
+                values = np.repeat(of.take(at, axis=1), many, axis=1)
+                values[:, beside] = of.take(at_beside, axis=1)
+                values *= weight.take(sample)
+                vectors += values
+            yield SegmentSamples(
+                self.camera.project(vectors.T),
+                sample,
+                np.flatnonzero(own),
+                np.repeat(of_star, many - 2),
+                begins.take(sample[own]),
+                times.time_fraction.take(sample[own]),
+            )
 
     def _weighted_nodes(self, nodes: Float) -> tuple[Float, Float, Float]:
         """Return the start, the middle and the end of each segment, the ends multiplied by their weights."""
@@ -226,6 +285,33 @@ class ConicPaths:
     def nodes_px(self) -> Float:
         """Columns and rows of all nodes, (2, 2 s + 1, m) px."""
         return _projected(self.camera, self.nodes)
+
+
+class _SampleTimes(NamedTuple):
+    """When paths are sampled: in the middle of equal parts of each of s segments."""
+
+    counts: NDArray[np.intp]  # (s,) parts of each segment
+    segment: NDArray[np.intp]  # (n,) the segment of each part
+    elapsed: Float  # (n,) fraction of the segment that has elapsed
+    time_fraction: Float  # (n,) duration of each part as a fraction of the exposure
+
+
+class SegmentSamples(NamedTuple):
+    """Samples of segments of paths, one after the other, each segment between two samples of its neighbours."""
+
+    xy_px: Float  # (k, 2) positions (x, y), px; NaN behind the camera and below the horizon
+    number: NDArray[np.intp]  # (k,) number of each sample on its path; that of a neighbour that there is not is its own
+    own: NDArray[np.intp]  # (q,) indices of those that are not of neighbours
+    star: NDArray[np.intp]  # (q,) index of the star of each of these
+    begins: Float  # (q,) when the time that it represents begins, fractions of the exposure since the first segment
+    time_fraction: Float  # (q,) fraction of the exposure that it represents
+
+    def own_values(self, values: Float) -> tuple[Float, Float]:
+        """Return those of values, (k,), that are of own samples, and by how much they change from one to the next."""
+        before, after = self.own - 1, self.own + 1
+        step = values[after] - values[before]
+        step /= np.maximum(self.number[after] - self.number[before], 1)
+        return values[self.own], step
 
 
 def end_weights(starts: Float, ends: Float) -> Float:

@@ -351,10 +351,15 @@ class RecordedPart(NamedTuple):
         last = float(self.paths.time_fraction.sum())
         return np.asarray((self.closes.clip(0.0, last) - self.opens.clip(0.0, last)).clip(min=0.0) * self.scale)
 
-    def samples(self, stars: NDArray[np.intp], finer: int = 1) -> Iterator[tuple[Float, Float, Float]]:
+    def recorded_between(self, begins: Float, ends: Float, stars: NDArray[np.intp]) -> Float:
+        """Return how long stars are recorded between times since the start of the part, all (n,): as `recorded`."""
+        between = np.minimum(ends, self.closes[stars]) - np.maximum(begins, self.opens[stars])
+        return np.asarray(np.maximum(between, 0.0) * self.scale)
+
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float, Float]]:
         """Yield samples of the paths of some of the stars: see `recorded_samples`, and `ConicPaths.samples`."""
         end, opens, closes = 0.0, self.opens[stars], self.closes[stars]
-        for xy_px, time_fraction in self.paths.samples(stars, finer):
+        for xy_px, time_fraction in self.paths.samples(stars):
             ends = end + np.cumsum(time_fraction)[:, np.newaxis]
             weight = np.minimum(ends, closes)
             weight -= np.maximum(ends - time_fraction[:, np.newaxis], opens)

@@ -136,27 +136,31 @@ class StarCuller:
         for block in pointing.blocks(len(candidates), overlap=1):
             in_camera = _while_seen(block, directions)
             xy = self.camera.project(in_camera)
-            step = xy[1:] - xy[:-1]
-            step_x, step_y = step[..., 0], step[..., 1]
-            step_px = np.sqrt(step_x * step_x + step_y * step_y)  # five times as fast as hypot
-            trail_px = step_px / time_fraction[first : first + len(step_px), np.newaxis]
+            step_px, down_px = (xy[1:, :, axis] - xy[:-1, :, axis] for axis in (0, 1))
+            step_px *= step_px
+            down_px *= down_px
+            step_px += down_px
+            np.sqrt(step_px, out=step_px)  # five times as fast as hypot
+            trail_px = np.divide(step_px, time_fraction[first : first + len(step_px), np.newaxis], out=down_px)
             first += len(step_px)
-            hidden = np.isnan(step_px)  # behind the camera or always below the horizon
-            if hidden.any():
+            farthest_px = step_px.max(axis=0)
+            if np.isnan(farthest_px).any():
+                hidden = np.isnan(step_px)  # behind the camera or always below the horizon
                 step_px[hidden], trail_px[hidden] = 0.0, np.inf
-            slowest_px = np.minimum(slowest_px, trail_px.min(axis=0))
+                farthest_px = step_px.max(axis=0)
+            np.minimum(slowest_px, trail_px.min(axis=0), out=slowest_px)
             beyond_px = self.camera.distance_outside_px(xy)
             near = beyond_px < margin_px
-            near_step_px = np.where(near[:-1] | near[1:], step_px, 0.0)
-            longest_step_px = max(longest_step_px, float(near_step_px.max(initial=0.0)))
             touches |= near.any(axis=0)
             # Between two times a star may graze the image: half a step is added to the margin.  Steps grow without
             # bound far off the axis, but none across the image is longer than its diagonal.
-            reach_px = margin_px + np.minimum(step_px.max(axis=0), diagonal_px) / 2
+            reach_px = margin_px + np.minimum(farthest_px, diagonal_px) / 2
             far = np.flatnonzero(~touches & (np.fmin.reduce(beyond_px, axis=0) < reach_px))
             grazing_px = margin_px[far] + np.minimum(step_px.take(far, axis=1), diagonal_px) / 2
             beyond_px = beyond_px.take(far, axis=1)
             touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)
+            step_px *= near[:-1] | near[1:]
+            longest_step_px = max(longest_step_px, float(step_px.max(initial=0.0)))
             touches |= self._passes_limit(in_camera, xy, step_rad)
         slowest_px[np.isinf(slowest_px)] = 0.0  # visible at a single time
         return touches, slowest_px, longest_step_px

@@ -15,196 +15,19 @@ from numpy.typing import NDArray
 from glstar.arrays import Float, Float32
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor, noise_equivalent_area_px2
-from glstar.render.motion.trailmodels import AnalyticSegments, TrailModel
-from glstar.render.readout.rows import OpenPath, RecordedTimes
-from glstar.render.readout.stacking import StackedTrails
+from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import psf_scale
 from glstar.render.scene.transmission import Transmission
+from glstar.render.truth.linechains import (
+    LineChain,
+    NearLines,
+    SignalOfLines,
+    Stars,
+    line_chains,
+    normal_cumulative,
+)
 from glstar.sky.photometry import USUAL_BV
-
-Stars = slice | NDArray[np.intp]
-
-# Lines of an exposure, at least.
-_MIN_PARTS = 16
-# Lines that are shorter than this, sigma, are wide Gaussians instead: the difference is below 1e-4.
-_SHORT_SIGMA = 0.5
-# Lines whose ends are farther than this, sigma, add less than 1e-5.
-_FAR_SIGMA = 5.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LineChain:
-    """Paths of m stars as chains of n lines."""
-
-    middle_px: Float  # (2, n, m) middles of the lines, px
-    step_px: Float  # (2, n, m) from their starts to their ends, px; 0 where a star is not visible
-    length_px: Float  # (n, m) lengths of the lines, px
-    duration: Float  # (n,) the fraction of the exposure of each line
-    # (n, m) bool or None: which lines have an end that is not visible; None if all are visible.
-    hidden: NDArray[np.bool_] | None
-    # (n, m) or None: under a rolling shutter, the fraction of each star's own exposure of each line; None for
-    # `duration`.
-    recorded: Float | None
-
-    @classmethod
-    def of(cls, xy_px: Float, duration: Float, recorded: Float | None) -> Self:
-        """Return the chain through positions, (2, n + 1, m) px; NaN where a star is not visible."""
-        step_px = xy_px[:, 1:] - xy_px[:, :-1]
-        length_px = np.sqrt(step_px[0] * step_px[0] + step_px[1] * step_px[1])  # five times as fast as hypot
-        hidden = None
-        if not np.isfinite(length_px.sum()):
-            hidden, xy_px = ~np.isfinite(length_px), np.nan_to_num(xy_px)
-            step_px[:, hidden] = 0.0
-            length_px[hidden] = 0.0
-        return cls((xy_px[:, 1:] + xy_px[:, :-1]) / 2, step_px, length_px, duration, hidden, recorded)
-
-    def __len__(self) -> int:
-        return len(self.duration)
-
-    def __getitem__(self, stars: Stars) -> Self:
-        """Return the chain of some stars."""
-        hidden = None if self.hidden is None else self.hidden[:, stars]
-        recorded = None if self.recorded is None else self.recorded[:, stars]
-        vectors = self.middle_px[..., stars], self.step_px[..., stars]
-        return type(self)(*vectors, self.length_px[:, stars], self.duration, hidden, recorded)
-
-    @property
-    def is_whole(self) -> NDArray[np.bool_]:
-        """Which stars are visible all the time, (m,)."""
-        is_hidden = np.zeros(self.middle_px.shape[2:], np.bool_) if self.hidden is None else self.hidden.any(axis=0)
-        return np.asarray(~is_hidden)
-
-    @property
-    def weight(self) -> Float:
-        """The fraction of each star's flux that each line has, (n, m)."""
-        weight = self.recorded
-        if weight is None:
-            weight = np.broadcast_to(self.duration[:, np.newaxis], self.length_px.shape)
-        return weight if self.hidden is None else np.where(self.hidden, 0.0, weight)
-
-    def near(self, point_px: Float, reach_px: Float) -> NDArray[np.intp]:
-        """Return which lines are nearer to a point of their star, (m, 2) px, than a distance, (m,) px.
-
-        They are numbers of a table of lines and stars: most lines are too far to matter.
-        """
-        off_px = point_px.T[:, np.newaxis] - self.middle_px
-        reach = self.length_px / 2 + reach_px
-        reach *= reach
-        is_near = np.einsum("anm,anm->nm", off_px, off_px) < reach
-        if self.hidden is not None:
-            is_near &= ~self.hidden
-        return np.flatnonzero(is_near)
-
-    def signal_at(
-        self, point_px: Float, sigma_px: float, transmission: Float | None, near: NDArray[np.intp] | None = None
-    ) -> Float:
-        """Return the signal of stars with a standard deviation at a point each, over their flux, (m,) 1/px^2.
-
-        `point_px` (m, 2) are positions (x, y); `transmission` (n, m) is what reaches the camera during each line;
-        `near`: the lines that matter there, if known.
-        """
-        if near is None:
-            near = self.near(point_px, np.full(len(point_px), _FAR_SIGMA * sigma_px))
-        line, star = np.divmod(near, len(point_px))
-        length_px = np.maximum(self.length_px.ravel().take(near), 1e-9)
-        along_x, along_y = (step.ravel().take(near) / length_px for step in self.step_px)
-        off_x, off_y = (
-            (at.take(star) - middle.ravel().take(near)) / sigma_px
-            for at, middle in zip(point_px.T, self.middle_px, strict=True)
-        )
-        s = off_x * along_x + off_y * along_y
-        across = off_x * along_y - off_y * along_x
-        weight = self.duration.take(line) if self.recorded is None else self.recorded.ravel().take(near)
-        signal = weight * _density(s, length_px / sigma_px) * np.exp(-0.5 * across * across)
-        if transmission is not None:
-            signal *= transmission.ravel().take(near)
-        summed = np.bincount(star, signal, minlength=len(point_px))
-        return np.asarray(summed / (np.sqrt(2 * np.pi) * sigma_px**2))
-
-
-def line_chains(
-    scene: Scene, direction_eq: Float, nodes_px: Float | None = None, recorded: RecordedTimes | None = None
-) -> Iterator[LineChain]:
-    """Yield the chain of each short exposure of a stacked image, or of the exposure, while its rows are open.
-
-    `direction_eq` (m, 3) are apparent unit vectors, `nodes_px` (2, n, m) their `ConicPaths.nodes_px` if known, and
-    `recorded` says when a rolling shutter records them.
-    """
-    trails = scene.trails if scene.listing is None else scene.listing.trails
-    if not isinstance(trails, StackedTrails):
-        xy_px, duration = _path(scene, trails, direction_eq, nodes_px)
-        yield LineChain.of(*_while_open(scene, xy_px, duration, recorded))
-        return
-    rows = [None] * len(trails.shorts) if recorded is None else recorded.shorts
-    for short, times in zip(trails.shorts, rows, strict=True):
-        xy_px, duration = _path(scene, short, direction_eq, None)
-        yield LineChain.of(*_while_open(scene, xy_px, duration / len(trails.shorts), times))
-
-
-def _path(scene: Scene, trails: TrailModel, direction_eq: Float, nodes_px: Float | None) -> tuple[Float, Float]:
-    """Return positions along paths, (2, n, m) px, and the fractions of the exposure between them, (n - 1,)."""
-    if isinstance(trails, AnalyticSegments) and 2 * len(trails) >= _MIN_PARTS:
-        if nodes_px is None:
-            nodes_px = np.moveaxis(scene.camera.project(trails.pointing.to_camera(direction_eq)), -1, 0)
-        return nodes_px, np.repeat(trails.time_fraction / 2, 2)
-    if isinstance(trails, AnalyticSegments):
-        parts = 2 * -(-_MIN_PARTS // (2 * len(trails)))
-        weight = np.repeat(trails.time_fraction / parts, parts)
-        times = np.concatenate([[0.0], np.cumsum(weight)])
-        xy_px = trails.positions(scene.camera, direction_eq, np.minimum(times, 1.0))
-        return np.moveaxis(xy_px, -1, 0), weight
-    xy_px = np.moveaxis(scene.camera.project(trails.pointing.to_camera(direction_eq)), -1, 0)
-    xy_px = np.concatenate([xy_px, xy_px[:, -1:]], axis=1)
-    return xy_px, np.full(xy_px.shape[1] - 1, 1 / (xy_px.shape[1] - 1))
-
-
-def _while_open(
-    scene: Scene, xy_px: Float, duration: Float, recorded: RecordedTimes | None
-) -> tuple[Float, Float, Float | None]:
-    """Return the arguments of `LineChain.of`: under a rolling shutter, the path between a star's opening and closing.
-
-    What is before and after is left as lines of no length and no light.
-    """
-    exposure = scene.exposure.first
-    if exposure.readout_s == 0:
-        return xy_px, duration, None
-    share = duration.sum()
-    ends_s = (exposure.span_s / share) * np.concatenate([[0.0], np.cumsum(duration)])
-    times = OpenPath.along(xy_px, ends_s, exposure, scene.camera) if recorded is None else OpenPath.of(recorded)
-    ends_s = ends_s[:, np.newaxis]
-    # Most of the path is between the opening and the closing of all stars.
-    before = slice(0, int(np.searchsorted(ends_s[:, 0], times.opens_s.max(initial=0.0))))
-    after = slice(int(np.searchsorted(ends_s[:, 0], times.closes_s.min(initial=np.inf), side="right")), None)
-    xy_px = xy_px.copy()
-    xy_px[:, before] = np.where(ends_s[before] < times.opens_s, times.first_px[:, np.newaxis], xy_px[:, before])
-    xy_px[:, after] = np.where(ends_s[after] > times.closes_s, times.last_px[:, np.newaxis], xy_px[:, after])
-    open_s = np.diff(ends_s.clip(times.opens_s, times.closes_s), axis=0)
-    open_s *= share / np.maximum(times.closes_s - times.opens_s, 1e-12)
-    return xy_px, duration, open_s
-
-
-def _density(s: Float, length: Float) -> Float:
-    """Return the light per sigma of lines at a distance s from their middles along them; lengths in sigma."""
-    density = np.empty_like(s)
-    is_short = length < _SHORT_SIGMA
-    short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
-    size = length.take(short)
-    variance = 1 + size * size / 12
-    off = s.take(short)
-    density[short] = np.exp(-0.5 * off * off / variance) / np.sqrt(2 * np.pi * variance)
-    size, at = length.take(long), s.take(long)
-    density[long] = (normal_cumulative(at + size / 2) - normal_cumulative(at - size / 2)) / size
-    return density
-
-
-def normal_cumulative(z: Float) -> Float:
-    """Return the cumulative distribution of the unit Gaussian to 1e-7: Abramowitz & Stegun, 26.2.17."""
-    t = 1 / (1 + 0.2316419 * np.abs(z))
-    polynomial = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
-    tail = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) * polynomial
-    return np.asarray(np.where(z < 0, tail, 1 - tail))
-
 
 # Example directions across and down the image.
 _GRID = (8, 6)
@@ -468,42 +291,57 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def near(self, middle_px: Float, step_px: Float) -> list[NDArray[np.intp]]:
-        """Return the lines that matter along a line of each star of the scene, (m, 2) px, for each Gaussian."""
-        middle_px, half_px = middle_px[self.stars], np.linalg.norm(step_px[self.stars], axis=1) / 2
+    def around(self, middle_px: Float, half_px: Float) -> list[NearLines]:
+        """Return for each Gaussian the lines that matter along any of k lines of each star, (k, m, 2) and (k, m) px."""
+        middle_px, half_px = middle_px[:, self.stars], half_px[:, self.stars]
+        centre_px = (middle_px.min(axis=0) + middle_px.max(axis=0)) / 2
+        # The search goes on from a point of one of the lines, by less than half of it.
+        reach_px = (np.linalg.norm(middle_px - centre_px, axis=-1) + 2 * half_px).max(axis=0)
         return [
-            self.chain.near(middle_px - offset_px, half_px + _FAR_SIGMA * sigma_px)
+            NearLines.of(self.chain, centre_px - offset_px, reach_px, sigma_px, self.transmission)
             for _, sigma_px, offset_px in self.gaussians
         ]
 
-    def signal_at(self, point_px: Float, near: list[NDArray[np.intp]]) -> Float:
+    def near(self, around: list[NearLines], middle_px: Float, half_px: Float) -> list[SignalOfLines]:
+        """Return those of lines that matter along a line of each star of the scene, (m, 2) and (m,) px."""
+        middle_px, half_px = middle_px[self.stars], half_px[self.stars]
+        return [
+            lines.nearer(middle_px - offset_px, half_px)
+            for lines, (_, _, offset_px) in zip(around, self.gaussians, strict=True)
+        ]
+
+    def signal_at(self, point_px: Float, near: list[SignalOfLines]) -> Float:
         """Return the signal at a point of each star of the scene, (m, 2) px, of those with this profile."""
         signals = [
-            fraction * self.chain.signal_at(point_px[self.stars] - offset_px, sigma_px, self.transmission, lines)
-            for (fraction, sigma_px, offset_px), lines in zip(self.gaussians, near, strict=True)
+            fraction * lines.at(point_px[self.stars] - offset_px)
+            for (fraction, _, offset_px), lines in zip(self.gaussians, near, strict=True)
         ]
-        return np.asarray(np.sum(signals, axis=0))
+        return signals[0] if len(signals) == 1 else np.asarray(np.sum(signals, axis=0))
 
 
 class _Search:
     """The largest signals on the image that have been found, and where."""
 
-    def __init__(self, camera: Camera, parts: Sequence[_Part], count: int) -> None:
+    def __init__(self, camera: Camera, parts: Sequence[_Part], points: BrightestPoints) -> None:
+        count = points.point_px.shape[1]
         self.largest = np.zeros(count)
         self.point_px, self.step_px = np.zeros((count, 2)), np.zeros((count, 2))
-        self._parts, self._last_px = parts, np.array([camera.width_px, camera.height_px]) - 0.5
+        self._last_px = np.array([camera.width_px, camera.height_px]) - 0.5
+        half_px = np.linalg.norm(points.step_px, axis=-1) / 2
+        self._parts = [(part, part.around(points.point_px, half_px)) for part in parts]
 
     def along(self, middle_px: Float, step_px: Float, places: Sequence[float]) -> None:
         """Evaluate the signal at places along a line of each star, from its middle, (m, 2) px, parts of its step."""
-        near = [part.near(middle_px, step_px) for part in self._parts]
+        half_px = np.linalg.norm(step_px, axis=1) / 2
+        near = [(part, part.near(around, middle_px, half_px)) for part, around in self._parts]
         for place in places:
             point_px, signal = (middle_px + place * step_px).clip(-0.5, self._last_px), np.zeros(len(middle_px))
-            for part, lines in zip(self._parts, near, strict=True):
+            for part, lines in near:
                 signal[part.stars] += part.signal_at(point_px, lines)
             is_larger = signal > self.largest
-            self.largest = np.where(is_larger, signal, self.largest)
-            self.point_px = np.where(is_larger[:, np.newaxis], point_px, self.point_px)
-            self.step_px = np.where(is_larger[:, np.newaxis], step_px, self.step_px)
+            np.copyto(self.largest, signal, where=is_larger)
+            np.copyto(self.point_px, point_px, where=is_larger[:, np.newaxis])
+            np.copyto(self.step_px, step_px, where=is_larger[:, np.newaxis])
 
 
 def _largest_signal(
@@ -519,11 +357,11 @@ def _largest_signal(
         for chain, transmission in zip(chains, transmissions, strict=True)
         for stars, gaussians in profiles
     ]
-    search = _Search(scene.camera, parts, points.point_px.shape[1])
+    search = _Search(scene.camera, parts, points)
     for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
         search.along(middle_px, step_px, _ALONG)
     for place in _NEARER:
-        search.along(search.point_px, search.step_px, (-place, place))
+        search.along(search.point_px.copy(), search.step_px.copy(), (-place, place))
     return search.largest
 
 

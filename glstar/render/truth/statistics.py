@@ -1,10 +1,11 @@
 """Statistics of star trails over an exposure: how long each touches the image, where, and whether it saturates."""
 
+from typing import NamedTuple, Self
+
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float, Mask
-from glstar.camera.model import Camera
 from glstar.render.motion.starpaths import ConicPaths, SampledPaths
 from glstar.render.readout.rows import RecordedPart, RecordedTimes, RowTimeSearch, recorded_parts, recorded_rows
 from glstar.render.scene.scene import Scene
@@ -41,16 +42,62 @@ class TrailStatistics:
         for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
             if isinstance(paths, ConicPaths):
                 self._nodes_px.append(paths.nodes_px)
-            bounds = paths.bounds_px
-            always, never = _constant(scene, bounds)
-            self.touching += paths.time_fraction.sum() * always
-            self.on_image += paths.time_fraction.sum() * always
-            self.sum_xy += np.where(always, paths.weighted_sum_px, 0.0)
-            self._add_samples(scene, paths, np.flatnonzero(~(always | never)))
+                self._add_segments(scene, paths)
+            else:
+                self._add_samples(scene, paths)
             if saturation is not None:
-                near = saturation.near(bounds)
+                near = saturation.near(paths.bounds_px)
                 for xy, _ in paths.samples(near):
                     self.saturated[near] |= saturation.crossed_by(xy, scene.camera.contains(xy))
+
+    def _add_segments(self, scene: Scene, paths: ConicPaths) -> None:
+        """Add paths, of which only the segments that cross the border of the image are sampled."""
+        inside = _Inside.of(scene, *paths.segment_bounds_px)
+        self.touching += paths.time_fraction @ inside.touches
+        self.on_image += paths.time_fraction @ inside.on_image
+        self.sum_xy += paths.weighted_sum_of(inside.touches)
+        self._add_crossing(scene, paths, *(~inside.is_known).nonzero())
+
+    def _add_crossing(
+        self,
+        scene: Scene,
+        paths: ConicPaths,
+        segment: NDArray[np.intp],
+        star: NDArray[np.intp],
+        *,
+        part: RecordedPart | None = None,
+    ) -> None:
+        """Add samples of segments of stars, (p,) both, while a rolling shutter records them in a part of its time."""
+        count, radius_px = len(self.touching), scene.listed.truncation_radius_px
+        for samples in paths.segment_samples(segment, star, _FINER):
+            owner, weight = samples.star, samples.time_fraction
+            outside_px, step_px = samples.own_values(scene.camera.distance_outside_px(samples.xy_px))
+            touching, on_image = _parts_within(outside_px, step_px, radius_px[owner])
+            if part is not None:
+                weight = part.recorded_between(samples.begins, samples.begins + weight, owner)
+            self.on_image += np.bincount(owner, weight * on_image, count)
+            light = weight * touching
+            self.touching += np.bincount(owner, light, count)
+            for axis, values_px in enumerate(samples.xy_px.T):
+                moment = np.multiply(light, values_px[samples.own], out=np.zeros_like(light), where=light > 0)
+                self.sum_xy[axis] += np.bincount(owner, moment, count)
+
+    def _add_samples(self, scene: Scene, paths: SampledPaths) -> None:
+        """Add the paths of sub-exposures."""
+        low, high = (np.moveaxis(px, -1, 0) for px in paths.bounds_px)
+        inside = _Inside.of(scene, low, high)
+        radius_px = scene.listed.truncation_radius_px
+        self.touching += paths.time_fraction.sum() * inside.touches
+        self.on_image += paths.time_fraction.sum() * inside.on_image
+        self.sum_xy += np.where(inside.touches, paths.weighted_sum_px, 0.0)
+        stars = np.flatnonzero(~inside.is_known)
+        for xy, time_fraction in paths.samples(stars):
+            outside_px = scene.camera.distance_outside_px(xy)
+            touching, on_image = _parts_inside(outside_px, radius_px[stars], is_at_rest=paths.is_at_rest)
+            self.touching[stars] += time_fraction @ touching
+            self.on_image[stars] += time_fraction @ on_image
+            for axis, sums in enumerate(self.sum_xy):
+                sums[stars] += time_fraction @ np.where(touching > 0, touching * xy[..., axis], 0.0)
 
     def _add_recorded(self, scene: Scene, times: RecordedTimes, saturation: "_SaturationMap | None") -> None:
         """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
@@ -58,39 +105,38 @@ class TrailStatistics:
         recorded = np.zeros(len(directions))
         for part in recorded_parts(scene, directions, times):
             recorded += part.recorded
-            stars, bounds = np.arange(len(directions)), part.paths.bounds_px
             if isinstance(part.paths, ConicPaths):
                 if not scene.shorts:
                     self._nodes_px.append(part.paths.nodes_px)
-                always, never = _constant(scene, bounds)
-                self._add_constant(part, always)
-                stars = np.flatnonzero(~(always | never))
-            self._add_recorded_samples(scene, part, stars)
+                self._add_recorded_segments(scene, part, part.paths)
+            else:
+                self._add_recorded_samples(scene, part)
             if saturation is not None:
-                self._saturate(scene, part, saturation, saturation.near(bounds))
+                self._saturate(scene, part, saturation, saturation.near(part.paths.bounds_px))
         recorded = np.maximum(recorded, 1e-12)
         self.touching /= recorded
         self.on_image /= recorded
         self.sum_xy /= recorded
 
-    def _add_constant(self, part: RecordedPart, stars: Mask) -> None:
-        """Add the paths of stars that are on the image all the time."""
-        assert isinstance(part.paths, ConicPaths)
-        integral_px = part.paths.integral_between(part.opens, part.closes)
-        self.touching += np.where(stars, part.recorded, 0.0)
-        self.on_image += np.where(stars, part.recorded, 0.0)
-        self.sum_xy += np.where(stars, part.scale * integral_px, 0.0)
+    def _add_recorded_segments(self, scene: Scene, part: RecordedPart, paths: ConicPaths) -> None:
+        """Add paths as `_add_segments` does."""
+        inside = _Inside.of(scene, *paths.segment_bounds_px)
+        touching, sum_xy = paths.integral_between(part.opens, part.closes, inside.touches)
+        self.touching += part.scale * touching
+        self.sum_xy += part.scale * sum_xy
+        self.on_image += part.scale * paths.integral_between(part.opens, part.closes, inside.on_image)[0]
+        self._add_crossing(scene, paths, *(~inside.is_known).nonzero(), part=part)
 
-    def _add_recorded_samples(self, scene: Scene, part: RecordedPart, stars: NDArray[np.intp]) -> None:
-        """Add the sampled paths of some stars."""
-        radius_px = scene.listed.truncation_radius_px[stars]
-        for xy, _, weight in part.samples(stars, _FINER):
+    def _add_recorded_samples(self, scene: Scene, part: RecordedPart) -> None:
+        """Add the paths of sub-exposures."""
+        radius_px = scene.listed.truncation_radius_px
+        for xy, _, weight in part.samples(np.arange(len(radius_px))):
             touching, on_image = _parts_inside(scene.camera.distance_outside_px(xy), radius_px)
-            self.on_image[stars] += np.einsum("nm,nm->m", weight, on_image)
+            self.on_image += np.einsum("nm,nm->m", weight, on_image)
             light = weight * touching
-            self.touching[stars] += light.sum(axis=0)
-            for axis, sums in enumerate(self.sum_xy):
-                sums[stars] += np.where(light > 0, light * xy[..., axis], 0.0).sum(axis=0)
+            self.touching += light.sum(axis=0)
+            for axis in range(2):
+                self.sum_xy[axis] += np.where(light > 0, light * xy[..., axis], 0.0).sum(axis=0)
 
     def _saturate(
         self, scene: Scene, part: RecordedPart, saturation: "_SaturationMap", stars: NDArray[np.intp]
@@ -99,18 +145,6 @@ class TrailStatistics:
         for xy, _, weight in part.samples(stars):
             is_recorded = (weight > 0) & (scene.camera.distance_outside_px(xy) < 0)
             self.saturated[stars] |= saturation.crossed_by(xy, is_recorded)
-
-    def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
-        """Add the sampled paths of stars that are on the image for a part of the time."""
-        radius_px = scene.listed.truncation_radius_px[stars]
-        is_at_rest = isinstance(paths, SampledPaths) and paths.is_at_rest
-        for xy, time_fraction in paths.samples(stars, _FINER):
-            outside_px = scene.camera.distance_outside_px(xy)
-            touching, on_image = _parts_inside(outside_px, radius_px, is_at_rest=is_at_rest)
-            self.touching[stars] += time_fraction @ touching
-            self.on_image[stars] += time_fraction @ on_image
-            for axis, sums in enumerate(self.sum_xy):
-                sums[stars] += time_fraction @ np.where(touching > 0, touching * xy[..., axis], 0.0)
 
     def chosen_nodes_px(self, stars: NDArray[np.intp]) -> Float | None:
         """Return the `ConicPaths.nodes_px` of some stars over the whole exposure; None where paths are sampled."""
@@ -137,26 +171,40 @@ def _parts_inside(
     """
     if is_at_rest or len(outside_px) == 1:
         return outside_px < radius_px, outside_px < 0
-    # Beside a sample that is not visible, all of it or nothing.
-    step_px = np.maximum(np.nan_to_num(np.abs(np.gradient(outside_px, axis=0))), 1e-9)
-    inside = (np.clip(0.5 - (outside_px - border_px) / step_px, 0.0, 1.0) for border_px in (radius_px, 0.0))
-    hidden = np.isnan(outside_px)
-    within, on_image = (np.where(hidden, 0.0, part) for part in inside)
-    return within, on_image
+    return _parts_within(outside_px, np.gradient(outside_px, axis=0), radius_px)
 
 
-def _constant(scene: Scene, bounds_px: Float) -> tuple[Mask, Mask]:
-    """Return which stars are on the image all the time, and which never touch it: most are one or the other."""
-    never = _misses(scene.camera, bounds_px, scene.listed.truncation_radius_px)
-    return np.asarray(scene.camera.contains(bounds_px).all(axis=0)), never
+def _parts_within(outside_px: Float, step_px: Float, radius_px: Float) -> tuple[Float, Float]:
+    """Return `_parts_inside` of samples with changes from one to the next, px."""
+    step_px = np.abs(step_px)
+    # Beside a sample that is not visible, all of it or nothing; and nothing of what is not visible.
+    np.fmax(step_px, 1e-9, out=step_px)
+    within, on_image = (np.fmax((border_px - outside_px) / step_px + 0.5, 0.0) for border_px in (radius_px, 0.0))
+    return np.minimum(within, 1.0), np.minimum(on_image, 1.0)
 
 
-def _misses(camera: Camera, bounds_px: Float, radius_px: Float) -> Mask:
-    """Return which of m stars do not touch the image, given `SampledPaths.bounds_px` and truncation radii."""
-    low, high = bounds_px
-    size_px = np.array([camera.width_px, camera.height_px])
-    farthest_px = np.maximum(low - (size_px - 0.5), -0.5 - high).max(axis=1)
-    return np.asarray(farthest_px > radius_px)
+class _Inside(NamedTuple):
+    """Where parts of the paths of m stars are, as far as their bounds say: most touch the image all the time or never.
+
+    Arrays have the shape of the bounds, (..., m).
+    """
+
+    touches: Mask  # All the light touches the image
+    on_image: Mask  # The centre is on the image all the time
+    is_known: Mask  # What is neither is beside the image all the time
+
+    @classmethod
+    def of(cls, scene: Scene, low_px: Float, high_px: Float) -> Self:
+        """Return it, given the smallest and largest columns and rows, (2, ..., m) px; NaN where a star is hidden."""
+        radius_px = scene.listed.truncation_radius_px
+        right, bottom = scene.camera.width_px - 0.5, scene.camera.height_px - 0.5
+        nearest, farthest = (
+            np.maximum(np.maximum(left[0] - right, -0.5 - other[0]), np.maximum(left[1] - bottom, -0.5 - other[1]))
+            for left, other in ((low_px, high_px), (high_px, low_px))
+        )
+        touches, on_image = farthest < radius_px, farthest < 0
+        is_known = (touches | (nearest > radius_px)) & (on_image | (nearest > 0))
+        return cls(touches & is_known, on_image & is_known, is_known)
 
 
 class _SaturationMap:
