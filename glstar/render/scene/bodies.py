@@ -106,10 +106,10 @@ def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
     if body.angular_radius_rad < _POINT_SIGMA * sigma_rad:
         return body.direction_eq[np.newaxis].copy(), np.array([body.light_vmag])
     if body.angular_radius_rad > _LARGEST_SIGMA * sigma_rad:
-        across = 2 * body.angular_radius_rad / sigma_rad
+        width = 2 * body.angular_radius_rad / sigma_rad
         remedy = "give a shorter focal length, a wider psf_sigma_px, or bodies = false"
         raise ConfigError(
-            f"the disc of the {body.name} is {across:.0f} sigma wide, of at most {2 * _LARGEST_SIGMA:.0f}; {remedy}",
+            f"the disc of the {body.name} is {width:.0f} sigma wide, of at most {2 * _LARGEST_SIGMA:.0f}; {remedy}",
             key="sky.bodies",
         )
     cell = max(_CELL_SIGMA * sigma_rad / body.angular_radius_rad, np.pi / _MOST_CELLS)
