@@ -396,8 +396,7 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float) -> tuple[Float32, Floa
         xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
         determinant = 1 + length2 / 12
     else:
-        spread = np.ascontiguousarray(lines.spread_px2.swapaxes(1, 2) / sigma_px**2, np.float32)
-        xx, xy, yy = spread
+        xx, xy, yy = np.ascontiguousarray(lines.spread_px2.swapaxes(1, 2) / sigma_px**2, np.float32)
         determinant = (1 + xx) * (1 + yy) - xy * xy
     # The exponent is a x^2 + b x y + c y^2.
     a, b, c = -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant
