@@ -47,7 +47,7 @@ from glstar.camera.camerakeys import (
 from glstar.camera.distortion import COEFFICIENTS, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError, reading
-from glstar.system.userinput import read_text
+from glstar.system.userinput import limit_of, read_text
 
 DIALECTS = (
     "OpenCV and ROS camera_info files (camera_matrix), Kalibr camchains (cam0), and files of EuRoC, Basalt, VINS-Fusion"
@@ -59,6 +59,12 @@ _MOST_DOCUMENTS = 10
 
 class _Loader(yaml.SafeLoader):
     """Loads plain values: no objects and no merge keys, which can grow without bound.  OpenCV's tags are ignored."""
+
+    def fetch_flow_collection_start(self, TokenClass: type[yaml.Token]) -> None:
+        """Reject lists in lists in lists: their time grows with the square of their number."""
+        super().fetch_flow_collection_start(TokenClass)
+        if self.flow_level > limit_of("depth"):
+            raise yaml.scanner.ScannerError(None, None, "nested too deeply", self.get_mark())
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Reject ``<<: *alias``, which calibration files do not need, and a key with two values."""

@@ -33,14 +33,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
 from glstar.errors import AnswersError, GlstarError
 from glstar.rotation import about_y, about_z, matrix_from_quaternion
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import read_json, read_text, refuse_repeated
+from glstar.system.userinput import read_json_line, read_text, refuse_repeated
 
 INSTANTS = ("start", "middle", "end")
 _QUATERNION = ("qw", "qx", "qy", "qz")
@@ -215,8 +214,7 @@ def _json_row(path: Path, number: int, line: str) -> dict[str, Any]:
     if len(line) > MOST_CHARACTERS:
         raise AnswersError(path, f"line {number} has {len(line)} characters; at most {MOST_CHARACTERS} are read")
     try:
-        row = orjson.loads(line)
-        read_json(line)  # which finds keys that occur twice
+        row = read_json_line(line)
     except ValueError as error:
         raise AnswersError(path, f"line {number} is no JSON: {error}") from error
     if not isinstance(row, dict):

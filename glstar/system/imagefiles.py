@@ -223,33 +223,31 @@ def tiff_directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:
 
 
 def read_fits(content: bytes) -> NDArray[np.float64]:
-    """Return the image of the first header unit of a FITS file, in physical values, (height, width); row 0 is the top.
+    """Return the first image of a FITS file, in physical values, (height, width); row 0 is the top.
 
-    The first row of the file is the top unless ROWORDER is BOTTOM-UP.  Raises ValueError if it is damaged, or no image
-    of one channel.  FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
+    It is in the first header unit, or in an extension if that has no data.  The first row of the file is the top unless
+    ROWORDER is BOTTOM-UP.  Raises ValueError if it is damaged, packed in tiles, or no image of one channel.  FITS
+    Standard 4.0, sections 3.3 and 3.4 (units), 4.4.2 (BSCALE, BZERO), 5 (data, big-endian) and 10 (tiles).
     """
     if not content.startswith(b"SIMPLE  ="):
         raise ValueError("it is no FITS file")
-    cards: dict[str, str] = {}
-    end = 0
-    for end in range(_CARD_BYTES, len(content), _CARD_BYTES):
-        card = content[end - _CARD_BYTES : end].decode("ascii", "replace")
-        if card.startswith("END "):
-            break
-        if card[8:10] == "= ":
-            cards[card[:8].strip()] = card[10:].split("/")[0].strip()
+    cards, begin = _fits_unit(content, 0)
+    while cards.get("NAXIS") == "0" and content.startswith(b"XTENSION=", begin):
+        cards, begin = _fits_unit(content, begin)
+    if cards.get("ZIMAGE") == "T":
+        raise ValueError("its image is packed in tiles (.fz); unpack it with funpack, or with astropy")
     dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
     axes = cards.get("NAXIS", "")
     # A single plane may have further axes.
     sides = [cards.get(key, "") for key in ("NAXIS2", "NAXIS1")]
     is_plane = axes in {"2", "3", "4"} and all(cards.get(f"NAXIS{axis}") == "1" for axis in range(3, int(axes) + 1))
-    if dtype is None or not is_plane or not all(side.isdecimal() for side in sides):
-        raise ValueError("its first unit is not an image of one channel")
+    is_image = "IMAGE" in cards.get("XTENSION", "IMAGE")
+    if dtype is None or not is_image or not is_plane or not all(side.isdecimal() for side in sides):
+        raise ValueError("its first unit with data is not an image of one channel")
     shape = int(sides[0]), int(sides[1])
     refuse_many_pixels(shape[1], shape[0])
     if not all(shape):
         raise ValueError("its image has no pixels")
-    begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
     if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
         raise ValueError("it is cut off")
     stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
@@ -259,6 +257,19 @@ def read_fits(content: bytes) -> NDArray[np.float64]:
     scale, zero = (_fits_number(cards.get(key, ""), key, default) for key, default in _FITS_SCALE)
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(stored * scale + zero, dtype=np.float64)
+
+
+def _fits_unit(content: bytes, at: int) -> tuple[dict[str, str], int]:
+    """Return the values of the header of the unit at a byte of a FITS file, by keyword, and where its data begin."""
+    cards: dict[str, str] = {}
+    end = at
+    for end in range(at + _CARD_BYTES, len(content), _CARD_BYTES):
+        card = content[end - _CARD_BYTES : end].decode("ascii", "replace")
+        if card.startswith("END "):
+            break
+        if card[8:10] == "= ":
+            cards[card[:8].strip()] = card[10:].split("/")[0].strip()
+    return cards, -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
 
 
 def _fits_number(text: str, key: str, default: float) -> float:

@@ -18,6 +18,8 @@ from io import BufferedIOBase, BytesIO
 from os import PathLike, strerror
 from typing import Any, BinaryIO, Literal
 
+import orjson
+
 LimitName = Literal[
     "megapixels",
     "file_mib",
@@ -243,6 +245,17 @@ def read_json(text: str | bytes) -> Any:
         return json.loads(text, object_pairs_hook=_once_each, parse_constant=_no_constant)
     except RecursionError:
         raise ValueError("is nested too deeply") from None
+
+
+def read_json_line(line: str | bytes) -> Any:
+    """Return the value of a line of JSON, as `read_json`; fast for lines that glstar wrote.
+
+    Raises ValueError if it is none, nests too deeply or has a key twice.
+    """
+    text = line.encode() if isinstance(line, str) else line
+    value = orjson.loads(text)
+    # Of two equal keys orjson takes the last: then what it writes is shorter.
+    return value if orjson.dumps(value) == text.rstrip(b"\r\n") else read_json(text)
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

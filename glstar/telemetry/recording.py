@@ -20,7 +20,7 @@ from glstar.flight import (
     mean_rate_hz,
 )
 from glstar.sky.place.site import Site
-from glstar.sky.place.timescale import format_utc
+from glstar.sky.place.timescale import ROLLOVER_WEEKS, WEEK_S, format_utc
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
@@ -81,7 +81,10 @@ class FlightOptions:
         flight = f"from {format_utc(attitude.first_s)} to {format_utc(attitude.last_s)}"
         if first_s > attitude.last_s or last_s < attitude.first_s:
             track = f"from {format_utc(first_s)} to {format_utc(last_s)}"
-            raise LogFormatError(name, f"the track {source} lies {track}, the flight {flight}")
+            weeks = ROLLOVER_WEEKS * WEEK_S
+            is_rolled = first_s + weeks <= attitude.last_s and last_s + weeks >= attitude.first_s
+            rolled = f"; its dates are {ROLLOVER_WEEKS} weeks early, as of a receiver whose week has rolled over"
+            raise LogFormatError(name, f"the track {source} lies {track}, the flight {flight}{rolled * is_rolled}")
         notes = list(self.track.notes)
         outside_s = max(first_s - attitude.first_s, 0.0), max(attitude.last_s - last_s, 0.0)
         if max(outside_s) >= _TRACK_ENDS_S:

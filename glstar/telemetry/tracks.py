@@ -22,9 +22,9 @@ import numpy as np
 from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError, reading
 from glstar.flight import PositionTrack
-from glstar.sky.place.timescale import parse_utc
+from glstar.sky.place.timescale import ROLLOVER_WEEKS, WEEK_S, parse_utc
 from glstar.system.userinput import Unpacking, limit_of, read_bytes, refuse_more
-from glstar.telemetry.source import flyable, is_missing_height, two_places, valid_positions
+from glstar.telemetry.source import YEAR_2010_S, flyable, is_missing_height, two_places, valid_positions
 
 # For messages.
 TRACK_FORMATS = "GPX, KML, KMZ, NMEA or IGC"
@@ -82,13 +82,22 @@ def read_track(path: str) -> GivenTrack:
 def _read_track(path: str) -> GivenTrack:
     passed: Counter[str] = Counter()
     kind, parse, text = _format(path, read_bytes(path, int(limit_of("content_mib"))))
-    fixes = np.array(sorted(parse(text, passed), key=lambda fix: fix[0]), dtype=np.float64).reshape(-1, 4)
-    fixes = _valid(fixes, passed)
+    fixes = np.array(list(parse(text, passed)), dtype=np.float64).reshape(-1, 4)
+    # A receiver itself writes the dates of NMEA; those of other files may really be old.
+    early = (
+        (fixes[:, 0] >= _YEAR_1990_S) & (fixes[:, 0] < YEAR_2010_S) if kind == "NMEA" else np.zeros(len(fixes), bool)
+    )
+    fixes[early, 0] += ROLLOVER_WEEKS * WEEK_S
+    fixes = _valid(fixes[np.argsort(fixes[:, 0], kind="stable")], passed)
     name = Path(path).name
     why = "; ".join(f"{count} {reason}" for reason, count in passed.items())
     if not fixes.size:
         raise LogFormatError(path, f"has no places with times in it ({kind}){'; passed over: ' if why else ''}{why}")
     notes = [f"of the track {name} were passed over: {why}"] if passed else []
+    if early.any():
+        kind = f"{kind} with dates {ROLLOVER_WEEKS} weeks later"
+        rolled = f"the week of its receiver has rolled over, and {ROLLOVER_WEEKS} weeks are added"
+        notes.append(f"the track {name} has dates before 2010: {rolled}")
     heights_m, missing = fixes[:, 3], np.isnan(fixes[:, 3])
     if missing.all():
         notes.append(f"the track {name} has no heights above sea level: 0 m is taken")

@@ -47,3 +47,32 @@ def test_a_fits_file_that_is_cut_off_is_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:4000])
     with pytest.raises(CalibrationError, match="cut off"):
         read_image(path)
+
+
+def test_an_image_in_an_extension_after_an_empty_first_unit_is_read(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    pixels = np.random.default_rng(2).integers(0, 4096, (48, 64)).astype(np.uint16)
+    science = fits.ImageHDU(pixels, fits.Header({"EXPTIME": 0.25}), "SCI")
+    quality = fits.ImageHDU(np.zeros((48, 64), np.int16), name="DQ")
+    path = tmp_path / "one.fits"
+    fits.HDUList([fits.PrimaryHDU(), science, quality]).writeto(path)
+    image = read_image(path)
+    np.testing.assert_array_equal(image.pixels_dn, pixels)
+    assert image.exposure_s == 0.25
+
+
+def test_an_image_in_packed_tiles_is_refused_with_what_unpacks_it(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    path = tmp_path / "one.fits.fz"
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(np.ones((48, 64), np.int16))]).writeto(path)
+    with pytest.raises(CalibrationError, match=r"packed in tiles \(\.fz\); unpack it with funpack"):
+        read_image(path)
+
+
+def test_a_table_in_an_extension_is_no_image(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    path = tmp_path / "stars.fits"
+    table = fits.BinTableHDU.from_columns([fits.Column("mag", "B", array=np.arange(9, dtype=np.uint8))])
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(path)
+    with pytest.raises(CalibrationError, match="first unit with data is not an image of one channel"):
+        read_image(path)

@@ -423,6 +423,7 @@ def test_a_file_without_camera_matrix_says_what_is_read(tmp_path: Path) -> None:
         (b"<opencv_storage><K>", "is XML that cannot be read"),
         (b"<opencv_storage>%s%s</opencv_storage>" % (5000 * b"<K>", 5000 * b"</K>"), "is nested too deeply"),
         (b"image_width: 9\nimage_height: 9\nK: &a {rows: 3, cols: 3, data: *a}", "is nested too deeply"),
+        (b"image_width: 9\nK: " + 20_000 * b"[", "is not YAML: line 2, column 69: nested too deeply"),
         (b"K: &a {fx: 1, fy: 2, cx: 3, cy: 4, K: *a}", "is nested too deeply"),
         (b"<?xml version='1.0'?><!DOCTYPE a [<!ENTITY a 'b'>]><opencv_storage/>", "document type"),
         (b"1 OPENCV 752 480 458.6 457.3 367.2 248.4 -0.28 0.07 0 0", "is a list of cameras by COLMAP"),

@@ -17,9 +17,11 @@ from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.imagefiles.fits import damage_of_fits
-from glstar.export.navigator import Navigator, blind_phase_s, refuse_other_files
-from glstar.flight import AttitudeTrack
+from glstar.export.navigator import LiveNavigator, Navigator, blind_phase_s, refuse_other_files
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.link.history import Estimate
 from glstar.rotation import matrix_from_quaternion, turn_between
+from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 
@@ -285,6 +287,28 @@ def test_a_gap_of_the_message_is_no_estimate() -> None:
         record = known(start_s)
         assert (record["q_body_ned"], record["rates_rad_per_s"], record["up_camera"]) == (None, None, None)
         assert record["utc"].keys() == {"start", "middle", "end"}
+
+
+def test_the_estimate_of_a_link_drifts_for_hours_without_a_known_end() -> None:
+    keys = {"drift_sigma_deg": 0.1, "drift_time_s": 60.0, "seed": 5}
+    config = Config().override(**{f"navigator.{key}": value for key, value in keys.items()})
+    begins_s = parse_utc("2024-03-10T11:00:00Z")
+    utc_s = begins_s + np.arange(0.0, 3.5 * 3600, 60.0)
+    still = AttitudeTrack.from_samples(utc_s, np.tile([1.0, 0.0, 0.0, 0.0], (utc_s.size, 1)), max_gap_s=120.0)
+    flight = Flight(still, PositionTrack.fixed(Site(-0.61, 2.42)))
+    navigator = LiveNavigator(config, None)
+
+    def error_deg(number: int) -> float:
+        exposure = Exposure(begins_s + 600.0 * number, 0.5)
+        record = navigator.record(
+            Estimate(still, None, "ATTITUDE"), exposure, number=number, file="a.png", flight=flight
+        )
+        return float(np.rad2deg(np.linalg.norm(turn_between(np.eye(4)[0], np.array(record["q_body_ned"]["middle"])))))
+
+    # Three components of 0.1 deg each, of which those of ten minutes later know nothing.
+    errors_deg = np.array([error_deg(number) for number in range(20)])
+    assert np.sqrt((errors_deg**2).mean()) == pytest.approx(0.173, rel=0, abs=0.06)
+    assert np.abs(np.diff(errors_deg)).min() > 1e-4
 
 
 def test_without_a_navigator_there_is_no_record(tmp_path: Path) -> None:

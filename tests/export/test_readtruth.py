@@ -39,3 +39,11 @@ def test_a_line_that_is_not_a_frame_is_refused_by_its_number(export, line):
 
     with pytest.raises(gs.ExportError, match="line 3 is not a frame"):
         list(gs.read_truth(export))
+
+
+def test_a_line_with_a_key_twice_is_refused(export):
+    file = export / "truth.jsonl"
+    lines = file.read_text().splitlines(keepends=True)
+    file.write_text(lines[0].replace('"frame": 0,', '"frame": 7, "frame": 0,', 1) + "".join(lines[1:]))
+    with pytest.raises(gs.ExportError, match=r"line 1 is not a frame .*: the key 'frame' occurs twice"):
+        list(gs.read_truth(export))

@@ -9,6 +9,7 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
+from glstar.errors import ConfigError
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.bodies import BodySources, body_field, disc_sources, star_sigma_rad
 from glstar.render.scene.culling import DrawList
@@ -169,6 +170,15 @@ def test_sources_of_a_disc_add_up_to_its_magnitude() -> None:
         np.testing.assert_allclose(-2.5 * np.log10(np.sum(10 ** (-0.4 * vmag))), -2.0, rtol=0, atol=1e-9)
         assert len(vmag) < 4.2 * (1 + radius_px / 1.2) ** 2
         np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=0, atol=1e-12)
+
+
+def test_a_disc_whose_image_would_show_its_sources_is_refused() -> None:
+    sigma_rad = 1.2 / LENS.fx_px
+    assert len(disc_sources(moon(radius_px=480 * 1.2, phase_deg=60.0), sigma_rad)[1]) > 7e5
+    with pytest.raises(
+        ConfigError, match=r"^sky\.bodies: the disc of the Moon is 1200 sigma wide, of at most 980; give"
+    ):
+        disc_sources(moon(radius_px=600 * 1.2, phase_deg=60.0), sigma_rad)
 
 
 def towards_jupiter(*, bodies: bool) -> Scene:

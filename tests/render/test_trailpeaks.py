@@ -14,6 +14,7 @@ from glstar.render.truth import peaks as brightestpoints
 from glstar.render.truth.peaks import trail_peaks
 from glstar.render.truth.statistics import TrailStatistics
 from glstar.rotation import quaternion_from_euler
+from glstar.telemetry import open_flight
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
 LENS = camera(1014, 760, 967.7425)
@@ -79,6 +80,33 @@ def test_expected_peaks_and_areas_of_rough_flights_are_those_of_brute_force(deg,
     assert np.quantile(peak_errors, 0.9) < 0.02
     assert np.median(area_errors) < 0.02
     assert np.quantile(area_errors, 0.9) < limit
+
+
+@pytest.mark.parametrize(("duration_s", "within"), [(0.5, 0.01), (2.0, 0.02), (6.0, 0.02)])
+def test_the_noise_of_long_exposures_with_gusts_and_vibration_is_that_of_brute_force(duration_s, within):
+    """Paths of 200 to 2400 lines: groups of them are as wide as the vibration."""
+    flight = open_flight("fly:orbit?radius_m=300&gusts=severe&vibration=37,0.15;61,0.1,pitch&seed=1")
+    still = sky_over_adelaide(LENS)
+    position = PositionTrack.fixed(ADELAIDE)
+    simulator = Simulator.of(Flight(flight.attitude, position), still.sky, LENS, Mount(), still.sensor)
+    exposure = Exposure(flight.attitude.first_s + 20.213, duration_s, trail="analytic")
+    scene = simulator.scene(exposure)
+    listed_eq = scene.stars.direction_eq[scene.visible[np.flatnonzero(TrailStatistics(scene).touching)]]
+    peaks = trail_peaks(scene, listed_eq)
+    some = np.random.default_rng(0).choice(len(listed_eq), STARS, replace=False)
+    exact = simulator.scene(replace(exposure, path_tolerance_px=0.0))
+    paths_px = recorded_positions(exact, listed_eq[some], (np.arange(SAMPLES) + 0.5) / SAMPLES)
+
+    # The ratio is the flux over the root of the area.
+    errors = [
+        np.sqrt(brute_force(path_px, scene.sensor.effective_sigma_px)[1] / peaks.area_px2[star]) - 1
+        for star, path_px in zip(some, np.moveaxis(paths_px, 1, 0), strict=True)
+        if np.isfinite(path_px).all() and LENS.contains(path_px[::STEP]).any()
+    ]
+
+    assert len(errors) >= STARS - 4
+    assert np.median(np.abs(errors)) < within
+    assert np.quantile(np.abs(errors), 0.9) < 0.05
 
 
 def test_lines_far_beside_the_image_leave_finite_signals() -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.pointspread import TRUNCATION_DN
-from glstar.render.motion.trailmodels import AnalyticSegments, TrailPieces
+from glstar.render.motion import starpaths
+from glstar.render.motion.trailmodels import AnalyticSegments, CameraPath, TrailPieces
 from glstar.render.readout.pieces import (
     FAINT_LIMITS,
     FAINT_PEAK_DN,
@@ -112,6 +113,28 @@ def test_a_swing_within_the_width_of_a_star_takes_shorter_pieces():
     off = [abs(flux_of(pieces, moving_eq[fastest], at_px)[0] / expected - 1) for pieces in (coarse, fine)]
     assert off[0] > 0.006
     assert off[1] < 0.003
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_error_of_a_piece_is_that_of_its_third_moment(axis):
+    """The third derivative of a Gaussian is 1.380 at most: an Edgeworth series, with the third moment of a parabola."""
+    t = np.arange(0.0, 1.0, 0.002)
+    turned_rad = 1.2 * SIGMA_PX / LENS.fx_px * ((t + NIGHT_UTC_S - EXPOSURE.start_utc_s) / EXPOSURE.duration_s) ** 2
+    angles_rad = np.zeros((3, t.size))
+    angles_rad[axis] = turned_rad
+    trails = flown(t, angles_rad).scene(EXPOSURE).trails
+    path = CameraPath(trails, LENS)
+    moments = path.moments(np.array([0.0, float(len(trails))]))
+    skewness, _ = path.errors(moments, SIGMA_PX)
+    direction_eq = starpaths.probe_rays(LENS).T @ moments.C_mean[0]
+    time = (np.arange(4000) + 0.5) / 4000
+    path_px = trails.positions(LENS, direction_eq / np.linalg.norm(direction_eq, axis=1, keepdims=True), time)
+    off = (path_px - path_px.mean(axis=0)) / SIGMA_PX
+    second = (off**2).sum(axis=-1).mean(axis=0)
+    cubes = np.einsum("tpi,tpj,tpk->pijk", off, off, off) / len(time)
+    expected = 1.380 / 6 * np.sqrt((cubes**2).sum(axis=(1, 2, 3))) / (1 + second) ** 1.5
+    assert expected.max() > 5e-4
+    np.testing.assert_allclose(skewness, expected.max(), rtol=0, atol=0.03 * expected.max())
 
 
 def test_pieces_are_drawn_where_they_cost_less_of_narrow_stars_too():

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.images.decoding import read_grey
+
 Float = NDArray[np.float64]
 
 MANUAL: Final = Path(__file__).parents[2] / "assets" / "manual"
@@ -28,11 +30,8 @@ _GAMMA: Final = 0.6
 
 
 def grey(path: Path) -> Float:
-    """Return an image as the largest of its colours, float64."""
-    found = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    if found is None:
-        raise SystemExit(f"{path}: not an image")
-    return np.asarray(found if found.ndim == 2 else found.max(axis=2), dtype=np.float64)
+    """Return an image as the largest of its colours in digital numbers, float64: as the calibration reads it."""
+    return np.asarray(read_grey(path), dtype=np.float64)
 
 
 def detail_corner(image: Float, brightest_dn: float) -> tuple[int, int]:

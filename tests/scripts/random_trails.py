@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 from unittest.mock import patch
 
@@ -155,10 +155,14 @@ def random_trial(seed: int, variant: Variant = Variant()) -> Trial:  # noqa: B00
     return Trial(kind, simulator, exposure, deg_per_s)
 
 
+@cache
+def _bundled_attitude() -> AttitudeTrack:
+    return Config().open_flight(asset("adelaide.BIN")).attitude
+
+
 def _as_users_run(random: np.random.Generator) -> Trial:
     """Return a bright star over the bundled flight with the defaults; half of them have another sigma or exposure."""
-    config = Config()
-    attitude, sigma_px, duration_s = config.open_flight(asset("adelaide.BIN")).attitude, Sensor().psf_sigma_px, 0.5
+    attitude, sigma_px, duration_s = _bundled_attitude(), Sensor().psf_sigma_px, 0.5
     if random.random() < 0.5:
         sigma_px, duration_s = random.uniform(0.7, 2.0), float(random.choice([0.02, 0.05, 0.1, 0.2, 0.5, 1.0]))
     sensor = Sensor(
@@ -168,7 +172,7 @@ def _as_users_run(random: np.random.Generator) -> Trial:
     exposure = Exposure(start_s, duration_s)
     middle_s = start_s + duration_s / 2
     near = np.abs(attitude.utc_s - middle_s) < 2.0 + duration_s
-    logged = _Attitudes(attitude.utc_s[near], attitude.q_body_ned[near], config.flight.interpolation)
+    logged = _Attitudes(attitude.utc_s[near], attitude.q_body_ned[near], Config().flight.interpolation)
     xy_px = random.uniform([0.0, 0.0], [WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
     lens = camera(WIDTH_PX, HEIGHT_PX, FOCAL_PX)
     still = sky_over_adelaide(lens, sensor=sensor, vmag_limit=1.0, refraction=False)

@@ -139,6 +139,20 @@ def test_a_table_is_read_by_a_map_of_columns(tmp_path: Path) -> None:
     assert "exists already; --force replaces it" in str(again.exception)
 
 
+@pytest.mark.parametrize(
+    ("damaged", "by"),
+    [(b"XTENSION= 'BINTABLE'", b"XTENSION= 'BI\0TABLE'"), (b"XTENSION= 'BINTABLE'", b"XTENSION= 'FOREIGN '")],
+)
+def test_a_fits_file_whose_table_is_damaged_is_refused(tmp_path: Path, damaged: bytes, by: bytes) -> None:
+    """astropy gives units of other kinds, whose data are missing or no table."""
+    fits = pytest.importorskip("astropy.io.fits")
+    source = tmp_path / "stars.fits"
+    fits.BinTableHDU.from_columns([fits.Column("vmag", "E", array=np.arange(9.0))]).writeto(source)
+    source.write_bytes(source.read_bytes().replace(damaged, by))
+    with pytest.raises(CatalogueError, match="is a FITS file without a table"):
+        build_table(tmp_path / "stars.sqlite", source, {})
+
+
 def test_more_stars_than_one_chunk_are_read_in_the_order_of_brightness(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

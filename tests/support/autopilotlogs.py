@@ -292,23 +292,27 @@ def _dataflash_triggers(
 def _telemetry(rng: np.random.Generator, folder: Path) -> Case:
     case = Case(folder / "log.tlog")
     log = tlog.Log()
-    start_s, boots = 0.0, int(rng.integers(1, 3))
+    start_s, since_s, boots = 0.0, np.inf, int(rng.integers(1, 3))
     log.stamp_s = 0.0
     recorder_s = ELEVEN_S + float(rng.uniform(-1e8, 1e8))
     for _ in range(boots):
         duration_s = float(rng.uniform(15.0, 40.0))
-        recorder_s += _telemetry_boot(rng, case, log, (start_s, duration_s, recorder_s))
-        start_s += duration_s + float(rng.uniform(5.0, 2000.0))
+        recorder_s += _telemetry_boot(rng, case, log, (start_s, duration_s, recorder_s), since_s)
+        since_s = float(rng.uniform(5.0, 2000.0))
+        start_s += duration_s + since_s
     if boots > 1:
         case.numbers = None
     log.save(case.path)
     return case
 
 
-def _telemetry_boot(rng: np.random.Generator, case: Case, log: tlog.Log, boot: tuple[float, float, float]) -> float:
-    """Write a boot; return by how much the recorder's clock was set during it, s."""
+def _telemetry_boot(
+    rng: np.random.Generator, case: Case, log: tlog.Log, boot: tuple[float, float, float], since_s: float
+) -> float:
+    """Write a boot `since_s` after the one before; return by how much the recorder's clock was set during it, s."""
     start_s, duration_s, recorder_s = boot
-    boot_s = float(np.round(rng.uniform(5.0, 300.0), 2))
+    # An autopilot is not switched on before its last boot ends: its clocks would be those of one boot.
+    boot_s = min(float(np.round(rng.uniform(5.0, 300.0), 2)), since_s - 0.5)
     clock = _choice(rng, "gps", "gps", "station first", "station's only", "nearly right first")
     step_s = float(rng.uniform(2.0, 7200.0)) * (1 if rng.random() < 0.5 else -1) if rng.random() < 0.25 else 0.0
     loss = (float(rng.uniform(0.2, 0.4)), float(rng.uniform(0.4, 0.7))) if rng.random() < 0.25 else (2.0, 2.0)

@@ -176,6 +176,33 @@ def test_the_position_of_another_vehicle_is_not_taken(tmp_path: Path) -> None:
     require_agreement(open_flight(tmp_path / "bag", columns="position=/uav2/fix"))
 
 
+@pytest.mark.parametrize(
+    ("attitude", "fix", "doubts"),
+    [
+        ("/red/imu", "/blue/fix", 1),
+        ("/red/ahrs/imu", "/blue/gps/fix", 1),
+        ("/red/imu", "/red/gps/fix", 0),
+        ("/red/imu", "/fix", 0),
+        ("/vectornav/imu", "/ublox/fix", 0),
+        ("/mavros/imu/data", "/blue/fix", 0),
+    ],
+)
+@pytest.mark.parametrize("named", [False, True])
+def test_a_position_of_another_name_space_is_noted(
+    tmp_path: Path, attitude: str, fix: str, doubts: int, named: bool
+) -> None:
+    with Bag(tmp_path / "bag", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            bag.imu(k, START_NS, ENU_FLU, topic=attitude)
+            bag.fix(k, START_NS, topic=fix)
+
+    notes = open_flight(tmp_path / "bag", attitude=attitude if named else "auto").notes
+    confirmed = open_flight(tmp_path / "bag", columns=f"position={fix}").notes
+
+    assert sum(f"{fix} may be of another vehicle than {attitude}" in note for note in notes) == doubts
+    assert not any("another vehicle" in note for note in confirmed)
+
+
 def test_distant_positions_in_one_name_space_are_refused(tmp_path: Path) -> None:
     def other(bag: Bag, k: int, stamp_ns: int) -> None:
         del k

@@ -254,6 +254,18 @@ def test_the_height_of_nmea_is_of_the_same_day(tmp_path: Path) -> None:
     np.testing.assert_allclose(height_m, 96.8, rtol=0, atol=1e-6)
 
 
+def test_dates_of_nmea_whose_week_has_rolled_over_are_corrected(tmp_path: Path) -> None:
+    # 1024 weeks before 2024-03-10; the first sentences still have the receiver's date after power-on.
+    bodies = [body for second in SECONDS for body in (gga(second), rmc(second, "250704"))]
+    path = nmea_of(tmp_path / "track.nmea", [rmc("110000.00", "060180"), *bodies])
+
+    found = read_track(str(path))
+
+    np.testing.assert_allclose(found.fix_utc_s, FIRST_S + np.arange(20), rtol=0, atol=1e-6)
+    assert found.source == "track.nmea, NMEA with dates 1024 weeks later, 20 fixes"
+    assert "dates before 2010: the week of its receiver has rolled over" in found.notes[-1]
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 @pytest.mark.parametrize("second", [rmc, lambda time: f"GPZDA,{time},10,03,2024,00,00"])
 @pytest.mark.parametrize("before", ["", "\\s:rcv1,c:1710068400*5A\\", "2024-03-10 11:00:00.123 ", "[1710068400.2] "])

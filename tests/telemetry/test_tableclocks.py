@@ -10,6 +10,7 @@ from glstar.arrays import Float
 from glstar.errors import LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import euler_from_quaternion
+from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry import open_flight, open_source, survey
 from tests.support.tablefiles import START_S, largest_error_s, make_table
@@ -17,6 +18,7 @@ from tests.support.tablefiles import START_S, largest_error_s, make_table
 # tests/scripts/strange_flights.py makes thousands of others.
 # The last ones: a clock that steps back by 2 s beside UTC of whole seconds; most cells of such UTC empty.
 SEEDS = [*range(20), 567, 656, 5010]
+HOME = Site(latitude_rad=-0.61, longitude_rad=2.42)
 HEADER = (
     "time(millisecond),datetime(utc),latitude,longitude,altitude_above_seaLevel(meters),"
     "compass_heading(degrees),pitch(degrees),roll(degrees)"
@@ -184,6 +186,88 @@ def test_a_gps_week_of_0_before_the_fix_is_left_out(tmp_path: Path) -> None:
         report, _ = survey(source)
 
     assert report.utc_first == "2024-03-10T11:00:06.000000Z"
+
+
+# 2024-03-10 11:00:00 UTC in GPS time since 1980, of which 18 s are leap seconds, and its week and second of the week.
+GPS_S, WEEK, SECOND_S = START_S - 315964800 + 18, 2305, 39618.0
+
+
+def gps_table(path: Path, header: str, *columns: float) -> Path:
+    """Write a table of 10 s at 10 Hz whose columns after the attitude begin at these numbers; weeks do not advance."""
+    rows = []
+    for k in range(100):
+        cells = [f"{first + (0.1 * k if first != WEEK else 0):.3f}" for first in columns]
+        rows.append(",".join(["10", "20", f"{100 + 0.2 * k}", *cells, format_utc(START_S + 0.1 * k)]))
+    path.write_text("\n".join([f"r,p,y,{header},utc", *rows]) + "\n")
+    return path
+
+
+ANGLES = "roll=r,pitch=p,yaw=y"
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "words", "message"),
+    [
+        (
+            "gps_time_s",
+            (GPS_S,),
+            "time=gps_time_s",
+            "gps_time_s is GPS time by its name, .*time_epoch=gps makes it 2024-03-10 and time_epoch=unix .*2014-03-06",
+        ),
+        ("iTOW", (SECOND_S * 1e3,), "time=iTOW,time_unit=ms", "iTOW is GPS time by its name, .*give time_epoch"),
+        ("t,gps_week", (GPS_S, WEEK), "time=t", "its GPS week counts them from 1980; give time_epoch=gps"),
+        ("t,Week", (GPS_S, WEEK), "time=t,time_epoch=unix", "its GPS week counts them from 1980; give time_epoch=gps"),
+        ("t,gpsWeek", (SECOND_S, WEEK), "time=t", "within one week, beside a GPS week; give time_epoch=week,gps_week="),
+        ("t", (GPS_S,), "time=t,utc=utc", r"t is 315964782\.0 s behind utc: it counts GPS time since 1980"),
+        (
+            "t",
+            (START_S + 18,),
+            "time=t,time_epoch=unix,utc=utc",
+            r"t is 18\.0 s ahead of utc: it counts GPS time; name one",
+        ),
+        ("t", (START_S - 3600,), "time=t,utc=utc", r"t is 3600\.0 s behind utc; name one of both"),
+        ("t", (GPS_S - 18,), "time=t,time_epoch=gps,utc=utc", r"t is 18\.0 s behind utc; name one of both"),
+    ],
+)
+def test_gps_time_that_a_map_calls_utc_is_refused(
+    tmp_path: Path, header: str, columns: tuple[float, ...], words: str, message: str
+) -> None:
+    path = gps_table(tmp_path / "gps.csv", header, *columns)
+
+    with pytest.raises(LogFormatError, match=message), open_source(path, columns=f"{words},{ANGLES}") as source:
+        survey(source)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "words"),
+    [
+        ("gps_time", (START_S,), "time=gps_time,time_epoch=unix"),
+        ("gps_time", (GPS_S,), "time=gps_time,time_epoch=gps"),
+        ("t,week", (START_S, WEEK), "time=t,utc=utc"),
+        ("t,week", (START_S, 10), "time=t"),
+        ("t,week", (SECOND_S, WEEK), "time=t,time_epoch=week,gps_week=week"),
+    ],
+)
+def test_times_whose_epoch_is_stated_or_not_in_doubt_are_utc(
+    tmp_path: Path, header: str, columns: tuple[float, ...], words: str
+) -> None:
+    path = gps_table(tmp_path / "gps.csv", header, *columns)
+
+    with open_source(path, columns=f"{words},{ANGLES}") as source:
+        report, _ = survey(source)
+
+    assert report.utc_first == "2024-03-10T11:00:00.000000Z"
+
+
+@pytest.mark.parametrize(("epoch", "remarks"), [("", 1), (",time_epoch=unix", 0)])
+def test_seconds_that_may_count_from_1980_are_remarked(tmp_path: Path, epoch: str, remarks: int) -> None:
+    path = gps_table(tmp_path / "gps.csv", "t", GPS_S)
+    columns = f"time=t{epoch},{ANGLES}"
+
+    flight = open_flight(path, columns=columns, site=HOME)
+
+    named = "taken as seconds since 1970, 2014-03-06; time_epoch=gps, since 1980, makes them 2024-03-10"
+    assert sum(named in note for note in flight.notes) == remarks
 
 
 def blackbox(path: Path, columns: dict[str, object], before: str = "") -> Path:

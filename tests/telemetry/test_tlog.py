@@ -427,6 +427,23 @@ def test_a_wrapped_clock_is_continued(path: Path) -> None:
     np.testing.assert_allclose(yaw_deg(attitude.at([ELEVEN_S + 1.5])), 15.0, rtol=0, atol=0.01)
 
 
+def test_the_utc_of_a_clock_that_wraps_goes_on_in_one_boot(path: Path) -> None:
+    log, begins_s = Log(), 2**32 / 1000 - 15.0
+    for k, t in enumerate(times(30.0, start_s=begins_s)):
+        log.attitude(t, 2.0 * (t - begins_s))
+        if k % 25 == 0:
+            log.time(t, utc_s=ELEVEN_S + t - begins_s)
+    log.save(path)
+
+    attitude = open_flight(path, site=HOME).attitude
+
+    with open_source(path) as source:
+        assert len(source.boots()) == 1
+    assert attitude.first_s == pytest.approx(ELEVEN_S, rel=0, abs=2e-3)
+    assert attitude.last_s == pytest.approx(ELEVEN_S + 30.0, rel=0, abs=2e-3)
+    np.testing.assert_allclose(yaw_deg(attitude.at([ELEVEN_S + 25.0])), 50.0, rtol=0, atol=0.01)
+
+
 def test_packets_out_of_order_are_sorted(path: Path, turn: Log) -> None:
     head, *rest = turn.packets
     for at in range(0, 90, 10):

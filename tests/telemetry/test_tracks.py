@@ -173,6 +173,16 @@ def test_a_track_of_another_night_is_refused(tmp_path: Path) -> None:
         open_flight(asset("adelaide.BIN"), position=str(path))
 
 
+@pytest.mark.parametrize(("date", "is_rolled"), [("2004-07-25", True), ("2004-07-24", False)])
+def test_a_gpx_of_a_receiver_whose_week_has_rolled_over_is_refused(tmp_path: Path, date: str, is_rolled: bool) -> None:
+    path = gpx_of(tmp_path / "track.gpx", f"{date}T10:00:00Z", f"{date}T12:00:00Z")
+
+    with pytest.raises(LogFormatError, match="GPX, 2 fixes lies from 2004") as caught:
+        open_flight(asset("adelaide.BIN"), position=str(path))
+
+    assert ("1024 weeks early" in str(caught.value)) == is_rolled
+
+
 def test_a_track_that_ends_early_is_reported(tmp_path: Path) -> None:
     first = open_flight(asset("adelaide.BIN")).attitude.first_s
     ends = f"{dt.datetime.fromtimestamp(first + 20, dt.UTC):%Y-%m-%dT%H:%M:%SZ}"

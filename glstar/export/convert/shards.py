@@ -9,11 +9,12 @@ from typing import Any
 
 import orjson
 
-from glstar.errors import ConfigError, ExportError
+from glstar.errors import ConfigError, ExportError, reading
 from glstar.export.directory import NOISELESS_SUFFIX
 from glstar.export.imagefiles.masks import MASK_SUFFIXES
 from glstar.export.run.store import Target
 from glstar.export.truth.splits import ConvertedSet
+from glstar.system.userinput import read_json_line
 
 _INDEX = "index.json"
 
@@ -95,7 +96,7 @@ def _nav_lines(directory: Path) -> Iterator[Mapping[str, Any] | None]:
     if not path.is_file():
         while True:
             yield None
-    with path.open("rb") as lines:
+    with path.open("rb") as lines, reading(path, ExportError):
         for line in lines:
-            yield orjson.loads(line)
+            yield read_json_line(line)
     raise ExportError(path, "has fewer frames than the truth; run glstar export again")

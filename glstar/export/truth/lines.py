@@ -20,7 +20,7 @@ from glstar.errors import ExportError, reading
 from glstar.export.directory import create, open_to_append
 from glstar.render.truth.frame import KEYS, SCHEMA, as_current_schema
 from glstar.system.files import flush, flush_directory, publish, temporary_path
-from glstar.system.userinput import lines_of
+from glstar.system.userinput import lines_of, read_json_line
 
 Numbers = NDArray[np.int64]
 
@@ -317,9 +317,10 @@ def _listed(path: Path) -> set[str]:
 def parse_frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
     """Return a line of a file, with its number, as a frame; raises ExportError if it is none."""
     try:
-        frame = as_current_schema(orjson.loads(line))
+        frame = as_current_schema(read_json_line(line))
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise ExportError(file, f"line {number} is not a frame of a truth file of glstar") from error
+        why = f": {error}" if isinstance(error, ValueError) else ""
+        raise ExportError(file, f"line {number} is not a frame of a truth file of glstar{why}") from error
     if "file" in frame and not is_inside(frame["file"]):
         name = str(frame["file"])[:80]
         raise ExportError(file, f"line {number} names the image {name!r}, which is not below its directory")

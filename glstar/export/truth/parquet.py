@@ -10,7 +10,6 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
-import orjson
 import pyarrow as pa
 from pyarrow.parquet import ParquetWriter
 
@@ -18,6 +17,7 @@ from glstar.errors import ExportError
 from glstar.export.directory import TABLES, explain_disk_errors
 from glstar.render.truth.columns import Column, columns_of
 from glstar.system.files import publish, temporary_path
+from glstar.system.userinput import read_json_line
 
 # Frames per row group, which are in memory at a time: some 100,000 stars at most.
 _FRAMES_PER_GROUP = 256
@@ -140,7 +140,7 @@ def _extended(truth: Path, schema: pa.Schema, rows: list[Row], fixed: pa.Schema)
 def _groups(truth: Path) -> Iterator[dict[str, list[Row]]]:
     """Yield the rows of all tables, of some frames at a time."""
     with truth.open("rb") as file:
-        while lines := [orjson.loads(line) for line in islice(file, _FRAMES_PER_GROUP)]:
+        while lines := [read_json_line(line) for line in islice(file, _FRAMES_PER_GROUP)]:
             frames = [_frame_row(line) for line in lines]
             stars, *objects = (
                 [_object_row(line, entry) for line in lines for entry in line.get(key, ())] for key in _LISTS

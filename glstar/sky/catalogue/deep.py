@@ -274,10 +274,11 @@ def _fits(path: Path, content: bytes) -> dict[str, Any]:
     except ImportError as error:
         raise CatalogueError(path, f"reading FITS needs astropy: {install_command('catalogue')}") from error
     with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
-        data = next((unit for unit in units[1:] if unit.is_image is False), None)
-        if data is None:
+        # Damaged ones have other types.
+        table = next((unit for unit in units[1:] if isinstance(unit, fits.BinTableHDU | fits.TableHDU)), None)
+        if table is None:
             raise CatalogueError(path, "is a FITS file without a table")
-        data = data.data
+        data = table.data
         columns = {name: np.array(data[name]) for name in data.names}
     return {name: c.astype(c.dtype.newbyteorder("=")) if c.dtype.kind in "fiu" else c for name, c in columns.items()}
 

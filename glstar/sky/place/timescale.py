@@ -57,6 +57,7 @@ _DUT1_S = (slice(154, 165), slice(58, 68))
 
 GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
 WEEK_S = 604800.0
+ROLLOVER_WEEKS = 1024  # of GPS receivers that count weeks with 10 bits
 TAI_MINUS_GPS_S = 19.0
 
 

@@ -60,6 +60,7 @@ from glstar.telemetry.bags.topics import (
     TIMES,
     WORLDS,
     Topic,
+    are_of_two_bodies,
     has_word,
     purpose_of,
     utc_of_scale,
@@ -154,6 +155,7 @@ class BagReader(source.TelemetrySource):
         position, utc = self._position(topic), self._utc(topic)
         rates, about_rates = self._rates(topic, attitude)
         notes = (*attitude.notes, *self._notes(topic), *about_rates, *self._utc_notes(topic), *self._bag.notes)
+        notes += () if self._options.position else _doubts_of_position(topic.name, position.source)
         yield replace(attitude, notes=notes)
         yield position
         yield utc
@@ -483,6 +485,12 @@ class BagReader(source.TelemetrySource):
 def _unlike(best: Topic, others: list[Topic]) -> list[Topic]:
     """Return the attitudes of others that do not turn as one does, without those of sensors of their own."""
     return [topic for topic in others if topic is not best and not topic.is_of_device and topic.turns_otherwise(best)]
+
+
+def _doubts_of_position(attitude: str, position: str) -> tuple[str, ...]:
+    """Return a remark on a topic with the position that may be of another vehicle than that of the attitude."""
+    doubt = f"{position} may be of another vehicle than {attitude}, by their name spaces (--columns position=TOPIC)"
+    return (doubt,) if are_of_two_bodies(attitude, position) else ()
 
 
 def _offset_s(readings: tuple[Float, Float]) -> float:

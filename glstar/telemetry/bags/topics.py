@@ -429,6 +429,15 @@ def purpose_of(name: str) -> str:
     return ""
 
 
+def are_of_two_bodies(first: str, second: str) -> bool:
+    """Return whether two topics are below different names, neither of which is that of a part of a vehicle."""
+    above = [
+        [part for part in name.strip("/").split("/")[:-1] if not has_word(PART, part) and not INTERFACE.fullmatch(part)]
+        for name in (first, second)
+    ]
+    return all(above) and above[0][0] != above[1][0]
+
+
 def vehicles_of(kinds: Mapping[str, str]) -> dict[str, str]:
     """Return the vehicle of each topic, empty if it belongs to none, by the kinds of topics with these names.
 

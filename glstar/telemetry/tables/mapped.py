@@ -30,12 +30,14 @@ from glstar.telemetry.tables.tableclock import (
     ClockFit,
     clock_boots,
     described_cuts,
+    early_remarks,
     first_of_each_time,
     fitted_clock,
     has_whole_seconds,
     left_out_rows,
     most_agree,
     rows_of,
+    scale_fault,
     valid_rows,
 )
 
@@ -83,8 +85,9 @@ class ColumnMap:
     sign: Names = ()  # Columns by which a table is recognised without ``--columns``
     time: Names = ()  # Time of a row, in `time_unit` since `time_epoch`
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
-    # 1970 in UTC; 1980-01-06 in GPS time; the beginning of the GPS week in `gps_week`; any, such as boot.
-    time_epoch: Literal["unix", "gps", "week", "start"] = "unix"
+    # 1970 in UTC; 1980-01-06 in GPS time; the beginning of the GPS week in `gps_week`; any, such as boot.  "auto" is
+    # 1970 unless the name of the column says GPS time.
+    time_epoch: Literal["auto", "unix", "gps", "week", "start"] = "auto"
     gps_week: Names = ()  # GPS week number, for the epoch "week"
     utc: Names = ()  # UTC of a row, ISO 8601; without `time` it is the time, beside it its readings of UTC
     utc_date: Names = ()  # Its date, if it is in another column
@@ -222,6 +225,7 @@ def _listed(value: str) -> str | list[str]:
 _GLSTAR_MAP = ColumnMap(
     title="table",
     time=("utc_s",),
+    time_epoch="unix",
     utc=("utc",),
     roll=("roll_deg",),
     pitch=("pitch_deg",),
@@ -366,7 +370,7 @@ class MappedTableReader(source.TelemetrySource):
             odd = np.isfinite(time_s) & (np.abs(time_s) > source.YEAR_2100_S)
             self._reject(odd, name, "is no time since a start; check time_unit and time_epoch")
             return time_s
-        if wanted.time_epoch != "unix":
+        if wanted.time_epoch in {"gps", "week"}:
             week = self._name(wanted.gps_week)
             time_s = time_s + GPS_EPOCH_S + (0.0 if week is None else table.numbers(week) * WEEK_S)
             fixed_s = time_s[source.plausible_utc(time_s)]
@@ -376,6 +380,8 @@ class MappedTableReader(source.TelemetrySource):
             else:
                 fixed_s = time_s[np.isfinite(time_s) & (np.abs(time_s) < source.YEAR_2100_S)]
             time_s = time_s - (leap_seconds(float(np.median(fixed_s))) if fixed_s.size else 0.0)
+        if fault := scale_fault(table, name, time_s, wanted.time_epoch, self._name(wanted.utc), self._utc_column):
+            raise LogFormatError(self.name, fault)
         return self._plausible(time_s, name)
 
     @cached_property
@@ -495,6 +501,8 @@ class MappedTableReader(source.TelemetrySource):
 
     def _notes(self) -> tuple[str, ...]:
         notes = [self._map.note] if self._map.note else []
+        if self._is_utc and self._name(self._map.time) is not None:
+            notes += early_remarks(self._clock_s, self._map.time_epoch)
         if (name := self._name(self._map.height_dm)) is not None and self._name(self._map.height) is None:
             unit = "metres, as its firmware writes" if self._is_old_blackbox else "tenths of a metre"
             notes.append(f"{name} has no unit and is taken in {unit}")

@@ -5,17 +5,21 @@ clock, and UTC then lies between that row and the one before it.  Offset and rat
 readings agree; others are cut.  Where the offset steps for longer than a glitch, another boot begins.
 """
 
+import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import nan
+from math import nan, remainder
 
 import numpy as np
 
 from glstar.arrays import Float, Integer, Mask, robust_std
-from glstar.sky.place.timescale import CLOCK_GRAIN_S
+from glstar.errors import LogFormatError
+from glstar.sky.place.timescale import CLOCK_GRAIN_S, GPS_EPOCH_S, ROLLOVER_WEEKS, WEEK_S, format_utc, leap_seconds
 from glstar.telemetry.boots import find_boots, within
-from glstar.telemetry.source import Boot, valid_times
+from glstar.telemetry.source import Boot, plausible_utc, valid_times
+from glstar.telemetry.tables.files import TableFile
 
 # Readings agree with a clock within this time, s, or within the interval of rows: as those of logs do.
 _SAME_CLOCK_S = 0.5
@@ -47,6 +51,13 @@ _JUMP_S = 0.5
 _GLITCH_S = 10.0
 # Rows at longer intervals say nothing about boots, s.
 _SLOW_ROWS_S = 2.0
+# Columns of GPS time, and of the number of its week, by their names.
+_GPS_TIME = re.compile(r"gps|gnss|week|(?<![a-z])i?tow(?![a-z])", re.IGNORECASE)
+_GPS_WEEK = re.compile(r"(gps|gnss)?(wn|gwk|wk|week)(no|num|number)?", re.IGNORECASE)
+# A column with UTC is behind the time of its row by less, s: the interval of fixes, and truncated seconds.
+_FIX_S = 5.0
+# Seconds since 1980 of a flight before 2026, taken as seconds since 1970, s: before 2017.
+_EARLY_S = 1483228800.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -366,6 +377,74 @@ def valid_rows(clock_s: Float) -> Mask:
 def rows_of(boot: Boot, size: int) -> Mask:
     """Return which of the rows of a table belong to a boot."""
     return within(np.arange(size), boot.spans)
+
+
+def scale_fault(table: TableFile, name: str, time_s: Float, epoch: str, utc_name: str | None, utc_s: Float) -> str:
+    """Return why a table's time is no UTC although its column map says so; empty if nothing contradicts it.
+
+    `name`, `time_s` (n,): the column of the time, and UTC by the map, s since 1970; `epoch`: from when it counts by the
+    map; `utc_name`, `utc_s` (n,): the column that the map names for UTC, and its UTC.
+    """
+    fault = "" if epoch in {"gps", "week"} else _gps_time_fault(table, name, time_s, is_stated=epoch == "unix")
+    return fault or ("" if utc_name in {None, name} else _contradiction(f"{name} is", time_s, f"{utc_name}", utc_s))
+
+
+def _gps_time_fault(table: TableFile, name: str, time_s: Float, *, is_stated: bool) -> str:
+    """Return why times that count from 1970 by a map may count GPS time; `is_stated`: whether the user says so."""
+    week = _gps_week(table)
+    median_s = float(np.nanmedian(time_s)) if np.isfinite(time_s).any() else 0.0
+    stated = f"{name} counts seconds since 1970 by this map"
+    if week and 0 <= median_s <= WEEK_S:
+        return f"{stated}, but within one week, beside a GPS week; give time_epoch=week,gps_week=COLUMN"
+    if week and plausible_utc(np.array([median_s]))[0]:
+        weeks_s, rollover_s = week * WEEK_S, ROLLOVER_WEEKS * WEEK_S
+        off_1980, off_1970 = (abs(remainder(s - weeks_s, rollover_s)) for s in (median_s, median_s - GPS_EPOCH_S))
+        if off_1970 > 2 * WEEK_S >= off_1980:
+            return f"{stated}, but its GPS week counts them from 1980; give time_epoch=gps"
+    if is_stated or not median_s or not _GPS_TIME.search(name):
+        return ""
+    dates = " and ".join(
+        f"time_epoch={epoch} makes it {format_utc(seconds)[:10]}"
+        for epoch, seconds in (("gps", median_s + GPS_EPOCH_S), ("unix", median_s))
+        if plausible_utc(np.array([seconds]))[0]
+    )
+    return f"{name} is GPS time by its name, and nothing says from when it counts: {dates or 'give time_epoch'}"
+
+
+def _gps_week(table: TableFile) -> float:
+    """Return the median of the GPS weeks in a column that is named so; 0 without one."""
+    for name in table.columns:
+        if _GPS_WEEK.fullmatch(re.sub(r"[^A-Za-z]", "", name)):
+            with suppress(LogFormatError):
+                week = table.numbers(name)
+                return float(np.median(week[week > 0])) if (week > 0).any() else 0.0
+    return 0.0
+
+
+def _contradiction(time_is: str, time_s: Float, utc_name: str, utc_s: Float) -> str:
+    """Return by how much (n,) UTC of rows, s since 1970, contradicts that of another column; empty if it does not."""
+    both = plausible_utc(time_s) & plausible_utc(utc_s)
+    ahead_s = (time_s - utc_s)[both]
+    low_s, median_s, high_s = np.quantile(ahead_s, (0.1, 0.5, 0.9)).tolist() if both.any() else (0.0,) * 3
+    if abs(median_s) <= _FIX_S or high_s - low_s > _FIX_S:
+        return ""
+    leap_s = leap_seconds(float(np.median(utc_s[both])))
+    of_gps = {"GPS time since 1980 (time_epoch=gps)": leap_s - GPS_EPOCH_S, "GPS time": leap_s}
+    scale = next((f": it counts {scale}" for scale, off_s in of_gps.items() if abs(median_s - off_s) < _FIX_S), "")
+    side = "ahead of" if median_s > 0 else "behind"
+    return f"{time_is} {abs(median_s):.1f} s {side} {utc_name}{scale}; name one of both"
+
+
+def early_remarks(utc_s: Float, epoch: str) -> list[str]:
+    """Return remarks on (n,) UTC, s since 1970, that would be that of a recent flight if it counted from 1980.
+
+    `epoch`: from when it counts by the map; "auto" if the map does not say so.
+    """
+    utc_s = utc_s[plausible_utc(utc_s)]
+    if epoch != "auto" or not utc_s.size or float(np.median(utc_s)) >= _EARLY_S:
+        return []
+    read, otherwise = (format_utc(float(np.median(utc_s)) + seconds)[:10] for seconds in (0.0, GPS_EPOCH_S))
+    return [f"its times are taken as seconds since 1970, {read}; time_epoch=gps, since 1980, makes them {otherwise}"]
 
 
 def described_cuts(fit: ClockFit, lines: Integer) -> str:
