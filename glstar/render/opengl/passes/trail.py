@@ -25,15 +25,15 @@ from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 
 
 class DrawQueue:
-    """Draws to one target, which is cleared first, in the order in which they were added.
+    """Draws to one target, in the order in which they were added, after a first one that replaces its content.
 
     Software OpenGL finishes what was drawn to a target whenever another is bound.  In an image of 12 megapixels each
     time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.
     """
 
-    def __init__(self, target: StarTarget) -> None:
+    def __init__(self, target: StarTarget, first: Callable[[], None]) -> None:
         self.target = target
-        self._waiting: list[Callable[[], None]] = [target.light.clear]
+        self._waiting: list[Callable[[], None]] = [first]
 
     def __len__(self) -> int:
         """Return how many draws wait."""

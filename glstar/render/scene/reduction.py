@@ -1,0 +1,141 @@
+"""Faint long trails at half and at a quarter of the image's resolution.
+
+A trail takes time with its length and not with its brightness.  Where it is faint everywhere, it is drawn on pixels two
+or four times as wide and interpolated linearly between them: its light stays, and its profile changes by a part of its
+peak that is as small as what is cut off around a star.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from math import ceil, hypot, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.arrays import Float
+from glstar.camera.model import Camera
+from glstar.camera.sensor.pointspread import TRUNCATION_DN, PsfComponent
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.scene.bodies import BODIES
+from glstar.render.scene.scene import Scene
+from glstar.render.scene.starcomponents import drawn_peak_dn
+
+# Widths of reduced pixels, px, the finest first.
+SCALES = (2, 4)
+# Largest error of the profile of a long trail, relative to its peak, by standard deviations of the star in reduced
+# pixels: of slanted and upright trails at any position, measured with `drawn_variance_px2`.
+_WIDTHS = (0.25, 0.31, 0.375, 0.5, 0.62, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 4.0)
+_ERRORS = (0.70, 0.62, 0.53, 0.38, 0.20, 0.16, 0.09, 0.06, 0.04, 0.022, 0.014, 0.006)
+# Largest error of a trail, DN.
+_LARGEST_ERROR_DN = 1.0 * TRUNCATION_DN
+# Variance of what is drawn in units of a reduced pixel squared: from 0.35 on, samples of a Gaussian add up to its flux
+# within 0.2 %, wherever they lie.
+_MIN_VARIANCE = 0.35
+# Part of the variance of linear interpolation, 1/6 of a reduced pixel squared, by which a star is drawn narrower.
+_NARROWING = 0.4 / 6
+# Length of a long trail, standard deviations.
+_LONG_SIGMA = 6.0
+# What drawing at reduced resolutions has to save, in px of the length of trails: measured on Mesa llvmpipe.
+_FIXED_PX, _PER_PIXEL = 40_000.0, 0.3
+
+
+class ReducedScenes(NamedTuple):
+    """Scenes of one Gaussian per star, divided by the resolution at which they are drawn."""
+
+    full: tuple[Scene, ...]
+    # By the width of a pixel, px: scenes with the camera and the sensor of reduced pixels; none where that saves nothing.
+    reduced: dict[int, tuple[Scene, ...]]
+
+
+def reduced_scenes(scenes: Iterable[Scene]) -> ReducedScenes:
+    """Return scenes of one Gaussian per star, `starcomponents.gaussian_scenes`, divided by resolution."""
+    scenes = tuple(scenes)
+    widths_px = [_pixel_widths(scene) for scene in scenes]
+    if _saved_px(scenes, widths_px) <= 0.0:
+        return ReducedScenes(scenes, {})
+    divided = {
+        scale: tuple(
+            _of_stars(scene, of_stars == scale, scale)
+            for scene, of_stars in zip(scenes, widths_px, strict=True)
+            if scale == 1 or (of_stars == scale).any()
+        )
+        for scale in (1, *SCALES)
+    }
+    return ReducedScenes(divided.pop(1), divided)
+
+
+def reduced_camera(camera: Camera, scale: int) -> Camera:
+    """Return a camera with pixels `scale` times as wide, the first of which begins at the corner of the image."""
+    return Camera(
+        ceil(camera.width_px / scale),
+        ceil(camera.height_px / scale),
+        camera.fx_px / scale,
+        camera.fy_px / scale,
+        (camera.cx_px + 0.5) / scale - 0.5,
+        (camera.cy_px + 0.5) / scale - 0.5,
+        camera.skew_px / scale,
+        camera.lens,
+    )
+
+
+def _pixel_widths(scene: Scene) -> NDArray[np.int8]:
+    """Return the width of the pixels that each star of the draw list is drawn on, (k,) px: 1, 2 or 4."""
+    drawn, sensor = scene.draw_list, scene.sensor
+    widths_px = np.ones(len(drawn), np.int8)
+    is_plain = scene.stars.catalogue != BODIES and sensor.colour.mosaic == "none"
+    if not (is_plain and isinstance(scene.trails, AnalyticSegments) and len(drawn)):
+        return widths_px
+    sigma_px = sensor.effective_sigma_px
+    is_long = drawn.min_trail_px > _LONG_SIGMA * sigma_px
+    peak_dn = sensor.max_trail_peak_dn(drawn_peak_dn(scene), drawn.min_trail_px)
+    for scale in SCALES:
+        error = np.interp(sigma_px / scale, _WIDTHS, _ERRORS, left=np.inf)
+        widths_px[is_long & (error * peak_dn < _LARGEST_ERROR_DN)] = scale
+    return widths_px
+
+
+def _saved_px(scenes: Sequence[Scene], widths_px: Sequence[NDArray[np.int8]]) -> float:
+    """Return the length of the trails that are drawn at a reduced resolution, less what has to be saved, px."""
+    camera = scenes[0].camera if scenes else None
+    if camera is None:
+        return 0.0
+    diagonal_px = hypot(camera.width_px, camera.height_px)
+    length_px = sum(
+        float(np.minimum(scene.draw_list.min_trail_px[of_stars > 1], diagonal_px).sum())
+        for scene, of_stars in zip(scenes, widths_px, strict=True)
+    )
+    return length_px - _FIXED_PX - _PER_PIXEL * camera.width_px * camera.height_px
+
+
+def _of_stars(scene: Scene, stars: NDArray[np.bool_], scale: int) -> Scene:
+    """Return the scene with some of its stars, drawn on pixels of some width."""
+    draw_list = scene.draw_list[stars]
+    if scale == 1:
+        return replace(scene, draw_list=draw_list)
+    trail_px = draw_list.min_trail_px / scale
+    reduced = replace(
+        scene,
+        camera=_reduced_camera(scene.camera, scale),
+        sensor=_reduced_sensor(scene.sensor, scale),
+        draw_list=replace(draw_list, min_trail_px=trail_px),
+    )
+    radius_px = reduced.sensor.truncation_radius_px(drawn_peak_dn(reduced), trail_px, renormalized=True)
+    return replace(reduced, draw_list=replace(reduced.draw_list, truncation_radius_px=radius_px))
+
+
+# Every scene of a flight has the same camera.
+_reduced_camera = lru_cache(maxsize=64)(reduced_camera)
+
+
+def _reduced_sensor(sensor: Sensor, scale: int) -> Sensor:
+    """Return the sensor with which stars leave the same light per pixel of the image on wider pixels."""
+    sigma_px = sqrt(drawn_variance_px2(sensor.effective_sigma_px, scale)) / scale
+    return replace(sensor.of_component(PsfComponent(1 / scale**2, sigma_px)), pixel="sampled")
+
+
+def drawn_variance_px2(sigma_px: float, scale: int) -> float:
+    """Return the variance of a star as it is drawn on wider pixels, px^2."""
+    return max(sigma_px**2 - _NARROWING * scale**2, _MIN_VARIANCE * scale**2)
