@@ -303,20 +303,16 @@ class GLRenderer:
         clock = readout_clock(scene.exposure, scene.camera, targets.guard_band_px)
         full = StarTarget(targets.light, targets.guard_band_px, clock, self._lenses.of(scene.camera))
         divided = reduced_scenes(gaussians)
-        below: tuple[int, StarTarget] | None = None
+        wider: StarTarget | None = None
         for scale in sorted(divided.reduced, reverse=True):
             target = self._enlarge_pass.target(full, scene.camera, scale)
-            self._sum(divided.reduced[scale], target, scale, below)
-            below = scale, target
-        self._sum(divided.full, full, 1, below)
+            self._sum(divided.reduced[scale], target, wider)
+            wider = target
+        self._sum(divided.full, full, wider)
 
-    def _sum(
-        self, gaussians: Sequence[Scene], target: StarTarget, scale: int, below: tuple[int, StarTarget] | None
-    ) -> None:
-        """Sum the flux of scenes in a target of some width of its pixels, and that of the target of wider ones."""
-        first = target.light.clear
-        if below is not None:
-            first = partial(self._enlarge_pass.fill, target, scale, below[1], below[0])
+    def _sum(self, gaussians: Sequence[Scene], target: StarTarget, wider: StarTarget | None) -> None:
+        """Sum the flux of scenes in a target, and that of a target of wider pixels."""
+        first = target.light.clear if wider is None else partial(self._enlarge_pass.fill, target, wider)
         queue = DrawQueue(target, first)
         for scenes in drawn_together(gaussians, rolling=target.clock.rows > 0):
             self._add(scenes, queue)

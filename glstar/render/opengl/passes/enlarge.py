@@ -44,11 +44,12 @@ class EnlargePass:
             target.light_texture.repeat_x = target.light_texture.repeat_y = False
             self._targets[scale] = target
         clock = _reduced_clock(full.clock, full.guard_band_px, scale)
-        return StarTarget(target.light, _GUARD_BAND_PX, clock, full.lens)
+        return StarTarget(target.light, _GUARD_BAND_PX, clock, full.lens, scale)
 
-    def fill(self, target: StarTarget, scale: int, reduced: StarTarget, reduced_scale: int) -> None:
+    def fill(self, target: StarTarget, reduced: StarTarget) -> None:
         """Replace the content of a target that is in use by the light of a reduced one."""
-        ratio, texture = scale / reduced_scale, self._targets[reduced_scale].light_texture
+        texture = self._targets[reduced.pixel_width_px].light_texture
+        ratio = target.pixel_width_px / reduced.pixel_width_px
         first_px = reduced.guard_band_px - ratio * target.guard_band_px
         width_px, height_px = texture.size
         set_uniforms(
@@ -58,7 +59,13 @@ class EnlargePass:
         )
         texture.use(0)
         self._context.enable_only(moderngl.NOTHING)
+        # The guard band of the image is not read.
+        light, border_px = target.light, target.guard_band_px if target.pixel_width_px == 1 else 0
+        if border_px:
+            light.clear()
+        light.viewport = border_px, border_px, light.width - 2 * border_px, light.height - 2 * border_px
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
+        light.viewport = 0, 0, *light.size
 
     def _drop_targets(self) -> None:
         for target in self._targets.values():
