@@ -193,7 +193,8 @@ class TrailPass:
     ) -> None:
         """Draw the trails of a scene, or parts of them, in segments."""
         has_components = components is not None
-        kinds = path.SegmentKinds(has_components or path.surely_short(scene, trails), has_components)
+        are_short = has_components or path.surely_short(scene, trails)
+        kinds = path.SegmentKinds(are_short, has_components, len(trails) == 1)
         self._path_pass.set_scene(scene, trails, target, kinds)
         texels = _segment_texels(trails)
         drawn = scene.draw_list
