@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.pointspread import TRUNCATION_DN, PsfComponent
 from glstar.camera.sensor.sensor import Sensor
@@ -40,13 +39,13 @@ _MIN_VARIANCE = 0.35
 _NARROWING = 0.4 / 6
 # Length of a long trail, standard deviations.
 _LONG_SIGMA = 6.0
-# Costs in px of the length of trails, measured on Mesa llvmpipe: both ends of a trail; what is done once a frame; and the
-# interpolation of each pixel.
+# Costs in px of the length of trails, measured on Mesa llvmpipe: both ends of a trail; what is done once a frame; and
+# the interpolation of each pixel.
 _PER_STAR_PX, _FIXED_PX, _PER_PIXEL = 60.0, 150_000.0, 0.55
 # The fewest stars on the widest pixels; fewer are drawn with those on finer ones.
 _FEWEST = 100
-# How many segments become one, by the width of pixels: its errors, proportional to the third power, grow from 0.4 % of the
-# trail and 0.02 px at most to 3 % and 0.16 px, and 11 % and 0.5 px.
+# How many segments become one, by the width of pixels.  Errors grow as the third power: at most 0.4 % of the trail and
+# 0.02 px become 11 % and 0.5 px, where interpolation changes the profile by a half.
 _FEWER = {2: 1, 4: 3}
 # Largest distance between paths in fewer segments and the same paths in all of them, reduced px.
 _LARGEST_DISTANCE_PX = 0.05
@@ -56,7 +55,7 @@ class ReducedScenes(NamedTuple):
     """Scenes of one Gaussian per star, divided by the resolution at which they are drawn."""
 
     full: tuple[Scene, ...]
-    # By the width of a pixel, px: scenes with the camera and the sensor of reduced pixels; none where that saves nothing.
+    # By the width of a pixel, px: scenes with the camera and the sensor of wide pixels; empty where that saves nothing.
     reduced: dict[int, tuple[Scene, ...]]
 
 
@@ -74,7 +73,8 @@ def reduced_scenes(scenes: Iterable[Scene]) -> ReducedScenes:
         )
         for scale in (1, *SCALES)
     }
-    return ReducedScenes(divided.pop(1), divided)
+    full = divided.pop(1)
+    return ReducedScenes(full, {scale: of_scale for scale, of_scale in divided.items() if of_scale})
 
 
 def reduced_camera(camera: Camera, scale: int) -> Camera:
@@ -133,7 +133,9 @@ def _of_stars(scene: Scene, stars: NDArray[np.bool_], scale: int) -> Scene:
     reduced = replace(
         scene,
         camera=camera,
-        trails=scene.trails if draw_list.passage is not None else _in_fewer_segments(scene.trails, camera.max_px_per_rad, _FEWER[scale]),
+        trails=scene.trails
+        if draw_list.passage is not None
+        else _in_fewer_segments(scene.trails, camera.max_px_per_rad, _FEWER[scale]),
         sensor=_reduced_sensor(scene.sensor, scale),
         draw_list=replace(draw_list, min_trail_px=trail_px),
     )
@@ -163,9 +165,9 @@ def _upright(pointing: Pointing) -> Pointing:
 
 
 def _distance_rad(trails: AnalyticSegments, quarters: Pointing) -> float:
-    """Return the largest angle between the camera's orientations at a quarter and three quarters of segments and true ones.
+    """Return the largest angle between the camera's orientations of trails and true ones.
 
-    `quarters`: at both of each segment.
+    `quarters`: the true ones after a quarter and three quarters of each segment.
     """
     weight = np.repeat(trails.end_weight, 2)[:, np.newaxis, np.newaxis]
     elapsed = np.tile([0.25, 0.75], len(trails))[:, np.newaxis, np.newaxis]

@@ -6,7 +6,6 @@ from dataclasses import replace
 import moderngl
 
 from glstar.camera.model import Camera
-
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.targets import SignalTarget
 from glstar.render.opengl.textures import ReadoutClock, StarTarget
@@ -17,7 +16,10 @@ _GUARD_BAND_PX = 2
 
 
 class EnlargePass:
-    """Targets of wide pixels, and what adds their light to finer ones; raises ShaderError if the driver rejects a shader."""
+    """Targets of wide pixels, and what copies their light to finer ones.
+
+    Raises ShaderError if the driver rejects a shader.
+    """
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context

@@ -18,7 +18,7 @@ from glstar.render.opengl.passes.piece import EndPass, PiecePass
 from glstar.render.opengl.program import linked, set_used_uniforms
 from glstar.render.opengl.textures import RecentFields, StarTarget, pointing_texels, star_texture
 from glstar.render.readout.openings import PixelOpenings, SegmentColumns, divided_trails, whole_trails
-from glstar.render.readout.pieces import PIECE_COSTS, WIDE_PIXEL_COSTS, in_pieces
+from glstar.render.readout.pieces import WIDE_PIXEL_COSTS, in_pieces
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import cell_tints
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
@@ -145,8 +145,8 @@ class TrailPass:
         if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
             self._draw_segments(scene, trails, queue, target)
             return
-        costs = PIECE_COSTS if target.pixel_width_px == 1 else WIDE_PIXEL_COSTS
-        divided = in_pieces(scene, trails, costs, largest_point_px=self._point_size_px, openings=openings)
+        divide = in_pieces if target.pixel_width_px == 1 else partial(in_pieces, costs=WIDE_PIXEL_COSTS)
+        divided = divide(scene, trails, largest_point_px=self._point_size_px, openings=openings)
         if divided is None:
             self._draw_trails(scene, trails, queue, openings)
             return
