@@ -45,8 +45,8 @@ _PER_STAR_PX, _FIXED_PX, _PER_PIXEL = 60.0, 150_000.0, 0.55
 # The fewest stars on the widest pixels; fewer are drawn with those on finer ones.
 _FEWEST = 100
 # How many segments become one, by the width of pixels.  Errors grow as the third power: at most 0.4 % of the trail and
-# 0.02 px become 11 % and 0.5 px, where interpolation changes the profile by a half.
-_FEWER = {2: 1, 4: 3}
+# 0.02 px become 3 % and 0.16 px, where interpolation changes the profile by a half.
+_FEWER = {2: 1, 4: 2}
 # Largest distance between paths in fewer segments and the same paths in all of them, reduced px.
 _LARGEST_DISTANCE_PX = 0.05
 
