@@ -23,6 +23,7 @@
 // corners both read from `joint`, so that every pixel belongs to exactly one of them.
 
 // ALL_SHORT: 1 if all segments are SHORT; boundaries are not read then.
+// SINGLE: 1 if there is a single segment, which has no joints.
 // COMPONENTS: 1 if each column has a Gaussian of its own width, sigma.  All segments are SHORT then, and `joint` holds
 // 1 / (2 sigma^2 ln 2), 1/px^2, and sigma, px.
 
@@ -339,8 +340,12 @@ void main() {
 #endif
 #else
     boundary = boundary_of(path);
+#if SINGLE
+    joint = vec4(0.0);
+#else
     bool has_neighbours = segment > 0 && segment < segments;
     Path before = path_of(star, max(segment - 1, 0));
     joint = has_neighbours ? joint_between(before, path, projected(star, last_time + 1).y) : vec4(0.0);
+#endif
 #endif
 }

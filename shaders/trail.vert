@@ -115,6 +115,15 @@ void main() {
     is_drawn = is_long && length_px > 2.0 * margin_px;
 #endif
 
-    if (!is_drawn)
-        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+    // A clipped primitive would send all of the call through a slower part of llvmpipe.  This one lies in a corner of the
+    // clip volume: a quad has no area, a point is dark.
+    if (!is_drawn) {
+        gl_Position = vec4(-1.0, -1.0, 0.0, 1.0);
+        gl_PointSize = 1.0;
+#if SHAPE == 0
+        amplitudes_dn = vec2(0.0);
+#else
+        owned = vec4(0.0, 0.0, 1.0, 0.0);
+#endif
+    }
 }

@@ -13,12 +13,14 @@ from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.drawnlens import DrawnLenses
 from glstar.render.opengl.passes.develop import DevelopPass
+from glstar.render.opengl.passes.enlarge import EnlargePass
 from glstar.render.opengl.passes.path import drawn_together
 from glstar.render.opengl.passes.subexposure import SubExposurePass, with_drawable_sprites
 from glstar.render.opengl.passes.trail import DrawQueue, TrailPass
 from glstar.render.opengl.targets import FrameReadback, GuardBands, Readback, Targets
 from glstar.render.opengl.textures import ImageTexture, StarTarget, readout_clock
 from glstar.render.readout.stacking import stacked_frame
+from glstar.render.scene.reduction import reduced_scenes
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.scene.starcomponents import gaussian_scenes
 
@@ -84,6 +86,8 @@ class GLRenderer:
         owned.callback(self._sub_exposure_pass.release)
         self._trail_pass = TrailPass(context)
         owned.callback(self._trail_pass.release)
+        self._enlarge_pass = EnlargePass(context)
+        owned.callback(self._enlarge_pass.release)
         self._develop_pass = DevelopPass(context, self._effects)
         owned.callback(self._develop_pass.release)
         self._readback = Readback(context, self._current)
@@ -297,8 +301,20 @@ class GLRenderer:
             for gaussian in gaussian_scenes(scene)
         ]
         clock = readout_clock(scene.exposure, scene.camera, targets.guard_band_px)
-        queue = DrawQueue(StarTarget(targets.light, targets.guard_band_px, clock, self._lenses.of(scene.camera)))
-        for scenes in drawn_together(gaussians, rolling=clock.rows > 0):
+        full = StarTarget(targets.light, targets.guard_band_px, clock, self._lenses.of(scene.camera))
+        divided = reduced_scenes(gaussians)
+        wider: StarTarget | None = None
+        for scale in sorted(divided.reduced, reverse=True):
+            target = self._enlarge_pass.target(full, scene.camera, scale)
+            self._sum(divided.reduced[scale], target, wider)
+            wider = target
+        self._sum(divided.full, full, wider)
+
+    def _sum(self, gaussians: Sequence[Scene], target: StarTarget, wider: StarTarget | None) -> None:
+        """Sum the flux of scenes in a target, and that of a target of wider pixels."""
+        first = target.light.clear if wider is None else partial(self._enlarge_pass.fill, target, wider)
+        queue = DrawQueue(target, first)
+        for scenes in drawn_together(gaussians, rolling=target.clock.rows > 0):
             self._add(scenes, queue)
         queue.run()
 

@@ -259,6 +259,7 @@ class StarTarget(NamedTuple):
     guard_band_px: int  # width of its border around the image, px
     clock: ReadoutClock  # when its pixels open
     lens: DrawnLens = PINHOLE  # of the camera
+    pixel_width_px: int = 1  # width of its pixels: glstar/render/scene/reduction.py
 
 
 def readout_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> ReadoutClock:

@@ -72,6 +72,8 @@ PIECE_LIMITS = PieceLimits()
 FAINT_LIMITS = PieceLimits(length_sigma=2.4, skewness_error=0.01, kurtosis_error=0.018)
 FAINT_PEAK_DN = 40 * TRUNCATION_DN
 PIECE_COSTS = PieceCosts()
+# On wide pixels: stars have shorter trails of fewer segments there.
+WIDE_PIXEL_COSTS = PieceCosts(min_segments=24)
 # Under a rolling shutter, the fewest pieces: one that is recorded in part is divided where segments end.
 FEWEST_PIECES = 16
 # Pieces that one point sprite draws.

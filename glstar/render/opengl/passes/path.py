@@ -56,6 +56,7 @@ class TextureTable:
             for texture in self._textures:
                 texture.filter = moderngl.NEAREST, moderngl.NEAREST
             self._target = self._context.framebuffer(self._textures)
+            self._target.clear()
         return self._target
 
     def release(self) -> None:
@@ -78,10 +79,11 @@ _NARROW_VARIANCE_PX2 = 0.00705189
 
 
 class SegmentKinds(NamedTuple):
-    """What is known of all segments of a scene: ALL_SHORT and COMPONENTS of star_path.frag."""
+    """What is known of all segments of a scene: ALL_SHORT, COMPONENTS and SINGLE of star_path.frag."""
 
     are_short: bool  # Whether they are SHORT
     have_components: bool = False  # Whether each star of the draw list has a Gaussian of its own width
+    are_single: bool = False  # Whether there is a single segment
 
 
 def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
@@ -186,8 +188,8 @@ class PathPass:
         positions[0].use(_UNITS["positions"])
         self._passage.texture.use(_UNITS["passage"])
         self._chosen.use(_UNITS["chosen"])
-        # Long segments have a joint at their end too.
-        joints = segments if self._kinds.are_short else segments + 1
+        # Long segments have a joint at their end too.  That of a single one is 0, as textures are when they are new.
+        joints = segments if self._kinds.are_short or self._kinds.are_single else segments + 1
         filled = self._path.table(number).filled(self._path.vertices, stars, joints)
         # Software OpenGL waits here for that pass.  Otherwise it would interrupt what is being drawn when that reads
         # the textures.
@@ -221,6 +223,7 @@ class PathPass:
                 LENS=lens,
                 ALL_SHORT=int(self._kinds.are_short),
                 COMPONENTS=int(self._kinds.have_components),
+                SINGLE=int(self._kinds.are_single),
             )
             set_used_uniforms(program, **_UNITS)
             self._programs[key] = _PathProgram(self._context, program, _OUTPUTS if rows else _OUTPUTS - 1)

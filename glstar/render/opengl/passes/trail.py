@@ -18,22 +18,22 @@ from glstar.render.opengl.passes.piece import EndPass, PiecePass
 from glstar.render.opengl.program import linked, set_used_uniforms
 from glstar.render.opengl.textures import RecentFields, StarTarget, pointing_texels, star_texture
 from glstar.render.readout.openings import PixelOpenings, SegmentColumns, divided_trails, whole_trails
-from glstar.render.readout.pieces import in_pieces
+from glstar.render.readout.pieces import WIDE_PIXEL_COSTS, in_pieces
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import cell_tints
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 
 
 class DrawQueue:
-    """Draws to one target, which is cleared first, in the order in which they were added.
+    """Draws to one target, in the order in which they were added, after a first one that replaces its content.
 
     Software OpenGL finishes what was drawn to a target whenever another is bound.  In an image of 12 megapixels each
     time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.
     """
 
-    def __init__(self, target: StarTarget) -> None:
+    def __init__(self, target: StarTarget, first: Callable[[], None]) -> None:
         self.target = target
-        self._waiting: list[Callable[[], None]] = [target.light.clear]
+        self._waiting: list[Callable[[], None]] = [first]
 
     def __len__(self) -> int:
         """Return how many draws wait."""
@@ -145,7 +145,8 @@ class TrailPass:
         if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
             self._draw_segments(scene, trails, queue, target)
             return
-        divided = in_pieces(scene, trails, largest_point_px=self._point_size_px, openings=openings)
+        divide = in_pieces if target.pixel_width_px == 1 else partial(in_pieces, costs=WIDE_PIXEL_COSTS)
+        divided = divide(scene, trails, largest_point_px=self._point_size_px, openings=openings)
         if divided is None:
             self._draw_trails(scene, trails, queue, openings)
             return
@@ -192,7 +193,8 @@ class TrailPass:
     ) -> None:
         """Draw the trails of a scene, or parts of them, in segments."""
         has_components = components is not None
-        kinds = path.SegmentKinds(has_components or path.surely_short(scene, trails), has_components)
+        are_short = has_components or path.surely_short(scene, trails)
+        kinds = path.SegmentKinds(are_short, has_components, len(trails) == 1)
         self._path_pass.set_scene(scene, trails, target, kinds)
         texels = _segment_texels(trails)
         drawn = scene.draw_list
