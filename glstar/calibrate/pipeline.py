@@ -1,6 +1,6 @@
 """The calibration from image files to sensor and camera: read, detect, identify, fit, combine.
 
-`calibrate_photographs` does all of it, for ``glstar calibrate`` and for Python (`glstar.calibrate_photographs`).  The
+`calibrate_photographs` does all of it, for ``glstar camera calibrate`` and `glstar.calibrate_photographs`.  The
 window runs the steps one by one, and solves again without the stars that the user removes.  Teague & Chahl, section
 2.5.
 """
@@ -250,7 +250,7 @@ def calibrate_photographs(
     on_step: Callable[[int, int], None] | None = None,
     on_note: Callable[[str], None] | None = None,
 ) -> CalibrationResult:
-    """Calibrate sensor and camera from photographs of the stars, as ``glstar calibrate`` does.
+    """Calibrate sensor and camera from photographs of the stars, as ``glstar camera calibrate`` does.
 
     The stars are identified by labels, if they are given; else by attitude, site and time, or a flight; else by their
     pattern, for which the tetra3rs library is needed.  Either `fov_deg` or `config` says how wide the view is.
@@ -316,7 +316,7 @@ def calibrate_photographs(
     CalibrationError
         An image cannot be read, or its stars cannot be identified or measured.
     ConfigError
-        Inputs contradict each other; the message names the options of ``glstar calibrate``.
+        Inputs contradict each other; the message names the options of ``glstar camera calibrate``.
 
     References
     ----------

@@ -536,7 +536,7 @@ def test_a_disk_that_is_really_full_is_reported_and_the_next_run_continues(
         ("sky",),
         ("sky", "--lat", "north", "--lon", "0"),
         ("demo", "everything"),
-        ("catalogue", "build", "messier"),
+        ("sky", "catalogue", "build", "messier"),
     ],
 )
 def test_an_invalid_command_line_exits_with_2(

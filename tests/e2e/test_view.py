@@ -94,7 +94,18 @@ def test_a_window_opens_responds_to_keys_and_closes(tmp_path, xvfb):
 @needs_xvfb
 def test_a_script_plays_in_a_window_and_writes_its_statistics(tmp_path, xvfb):
     stats, shot = tmp_path / "stats.json", tmp_path / "shot.png"
-    flags = ["--at", "20", "--sliding", "--play", "3", "--stats", str(stats), "--screenshot", str(shot), "--exit"]
+    flags = [
+        "--start",
+        "20",
+        "--sliding",
+        "--duration",
+        "3",
+        "--stats",
+        str(stats),
+        "--screenshot",
+        str(shot),
+        "--exit",
+    ]
     flags += ["--size", "1000x700"]
     subprocess.run(
         [*GLSTAR, "view", *flags, "--size", "1000x700"],
@@ -188,7 +199,7 @@ def test_an_opengl_that_is_too_old_is_reported_in_one_line(tmp_path, xvfb):
 def test_statistics_that_cannot_be_written_are_reported_in_one_line(tmp_path):
     file = tmp_path / "file"
     file.write_bytes(b"")
-    line = refused(tmp_path, None, "--headless", "--play", "0.1", "--stats", str(file / "figures.json"))
+    line = refused(tmp_path, None, "--headless", "--duration", "0.1", "--stats", str(file / "figures.json"))
     assert f"{file}: is no directory" in line
 
 
@@ -204,7 +215,7 @@ def test_a_flight_that_cannot_be_read_is_reported_in_one_line(tmp_path):
     ("flags", "words"),
     [
         (["--size", "big"], "1280x800"),
-        (["--stats", "s.json"], "--play"),
+        (["--stats", "s.json"], "--duration"),
         (["--headless"], "window"),
         (["--show", "clouds"], "clouds"),
     ],

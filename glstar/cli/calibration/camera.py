@@ -1,4 +1,4 @@
-"""``glstar camera``: calibrate cameras with boards, show camera files, rectify images."""
+"""``glstar camera``: calibrate cameras with stars or boards, show camera files and presets, rectify images."""
 
 import json
 import re
@@ -16,6 +16,7 @@ from rich.table import Table
 from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings, read_camera_file
 from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
+from glstar.cli.calibration.calibrate import calibrate
 from glstar.cli.flightoptions import sensor_names
 from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
 from glstar.errors import CalibrationError, reading
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
     from glstar.calibrate.geometry.boards import CharucoBoard, Chessboard
 
 
-app = typer.Typer(help="Calibrate cameras with boards, show camera files, rectify images.", no_args_is_help=True)
+app = typer.Typer(
+    help="Calibrate camera and sensor from photographs of the stars or of boards; camera files, presets.",
+    no_args_is_help=True,
+)
+app.command()(calibrate)
 
 
 class _Lens(StrEnum):

@@ -36,7 +36,7 @@ _WRAP_DEG = 180.0
 
 
 @with_verbosity
-@with_flight_flags(but=CAMERA_FLAGS)
+@with_flight_flags(but={*CAMERA_FLAGS, "mount"})
 def info(
     flights: Annotated[
         list[Path] | None,

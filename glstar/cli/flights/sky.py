@@ -81,9 +81,7 @@ def sky(
     vmag: Annotated[float, typer.Option(help="The faintest magnitude to show.")] = 6.5,
     star_id: Annotated[
         list[int] | None,
-        typer.Option(
-            "--star-id", "--hr", help="Only this star, by its HR or HIP number; may be repeated.", show_default=False
-        ),
+        typer.Option("--star-id", help="Only this star, by its HR or HIP number; may be repeated.", show_default=False),
     ] = None,
     catalogue: Annotated[str, typer.Option(help="bsc5, hipparcos, or the path of a catalogue file.")] = "bsc5",
     astrometry: Annotated[

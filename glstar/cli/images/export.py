@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import typer
 
+from glstar.camera.mounts import mount_label
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
 from glstar.cli.images import exportoptions as options
 from glstar.cli.reporting import echo_detail, echo_note, progress_bar, with_verbosity
@@ -443,9 +444,10 @@ def _light_notes(frames: "Frames") -> list[str]:
     grounded = sum(sees_ground for sees_ground, _ in checked)
     notes = []
     if grounded:
+        label = mount_label(frames.shot(int(numbers[0])).simulator.mount)
         notes.append(
-            f"{_of_checked(grounded, len(checked))} show only the ground, because the camera points below the horizon:"
-            " [mount] says how it is mounted"
+            f"{_of_checked(grounded, len(checked))} show only the ground, because the camera points below the horizon"
+            f" ({label}): --mount or [mount] says how it is mounted"
         )
     sun_deg = [sun for _, sun in checked]
     by_day = sum(sun > _DAY_DEG for sun in sun_deg)

@@ -1,4 +1,4 @@
-"""``glstar catalogue``: build star catalogues and show their contents."""
+"""``glstar sky catalogue``: build star catalogues and show their contents."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Tools for the machine: ``glstar doctor`` checks OpenGL, libraries and catalogues, ``glstar bench`` its speed."""
+"""Tools for the machine: ``doctor`` checks OpenGL, libraries and catalogues, ``doctor bench`` its speed."""
 
 import json
 import os
