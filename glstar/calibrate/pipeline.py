@@ -28,7 +28,7 @@ from glstar.calibrate.notes import Note, NoteKind, notes_without
 from glstar.calibrate.photo.detection import DetectedStars, detect_stars
 from glstar.calibrate.photo.photograph import Channel, Photograph, linearised, read_image
 from glstar.calibrate.photo.sky import fit_gamma
-from glstar.calibrate.sensor.brightness import above_air, above_air_together
+from glstar.calibrate.sensor.brightness import above_air, above_air_together, with_air_noted
 from glstar.calibrate.sensor.calibration import Calibration, calibrate, with_point_spread
 from glstar.calibrate.sensor.combine import CombinedCalibration, combine, draw_combined
 from glstar.calibrate.sensor.fit import Criterion
@@ -161,6 +161,8 @@ class IdentifiedPhotograph:
             )
             if is_only and options.extinction != "none":
                 calibration = above_air(calibration, options.extinction_mag)
+            elif options.extinction == "none":
+                calibration = with_air_noted(calibration)
             return with_point_spread(calibration) if options.shape else calibration
         except CalibrationError as error:
             if not is_only or options.extinction != "none":
