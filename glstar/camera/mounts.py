@@ -20,7 +20,7 @@ class NamedMount:
     yaw_deg: float
     pitch_deg: float
     roll_deg: float
-    looks: str  # Where the camera looks on a level aircraft
+    points: str  # Where the camera points on a level aircraft
     image: str  # What is to the right and at the bottom of the image
 
 
@@ -55,8 +55,8 @@ def mount_by_name(name: str) -> NamedMount:
         return MOUNTS[name]
     parts = re.fullmatch(rf"({'|'.join(_YAW_DEG)})-(up|down)-(\d+(?:\.\d+)?)", name)
     if parts is not None and 0 < float(parts[3]) < 90:
-        side, way, angle = parts[1], parts[2], float(parts[3])
-        return NamedMount(_YAW_DEG[side], angle if way == "up" else -angle, 0, f"{side}, {angle:g} deg {way}", "")
+        side, sense, angle = parts[1], parts[2], float(parts[3])
+        return NamedMount(_YAW_DEG[side], angle if sense == "up" else -angle, 0, f"{side}, {angle:g} deg {sense}", "")
     near = nearest_word(name, MOUNTS)
     suggestion = f" (did you mean {near}?)" if near else ""
     raise ConfigError(

@@ -124,7 +124,7 @@ CONCEPTS: Final = (
     Concept("epoch", "epoch of the table of a catalogue", SKY, "YEAR"),
     # What the aircraft knows, and what a navigator answers.
     Concept("navigator", "write what the aircraft knows, with this attitude", NAVIGATOR, "MESSAGE"),
-    Concept("blind", "a directory for the truth, apart from the images", NAVIGATOR, _DIR),
+    Concept("blind", "a separate directory for the truth", NAVIGATOR, _DIR),
     Concept("answers", "a navigator's answers: a file, `-`, or (`live`) `zmq://HOST:PORT`", NAVIGATOR, _FILE),
     Concept("answers-to", "the export that the answers are for", NAVIGATOR, _DIR),
     Concept("frame", "number of the frame that is answered", NAVIGATOR, _N),

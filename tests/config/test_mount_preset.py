@@ -1,4 +1,4 @@
-"""Mounts by name: where each looks, in files, on the command line, in messages, and beside angles."""
+"""Mounts by name: where each points, in files, on the command line, in messages, and beside angles."""
 
 import json
 import re
@@ -19,7 +19,7 @@ from glstar.system.resources import manual_pages
 C30, S30 = cos(radians(30)), sin(radians(30))
 # Optical axis, right and bottom of the image, in body axes: forward, right, down.
 FORWARD, RIGHT, DOWN = np.eye(3)
-LOOKS = {
+AXES = {
     "zenith": (-DOWN, FORWARD, -RIGHT),
     "down": (DOWN, RIGHT, -FORWARD),
     "nose": (FORWARD, RIGHT, DOWN),
@@ -40,9 +40,9 @@ def config_of(tmp_path: Path, text: str) -> Config:
     return Config.load(path)
 
 
-@pytest.mark.parametrize("name", LOOKS)
-def test_a_named_mount_looks_where_its_name_says(name: str) -> None:
-    axis, right, bottom = LOOKS[name]
+@pytest.mark.parametrize("name", AXES)
+def test_a_named_mount_points_where_its_name_says(name: str) -> None:
+    axis, right, bottom = AXES[name]
 
     mount = Config().override(**{"mount.preset": name}).mount()
 
@@ -51,7 +51,7 @@ def test_a_named_mount_looks_where_its_name_says(name: str) -> None:
 
 
 def test_every_name_is_tested_and_on_the_page_of_the_manual() -> None:
-    assert set(LOOKS) == set(MOUNTS)
+    assert set(AXES) == set(MOUNTS)
     page = manual_pages()["mounts"].read_text(encoding="utf-8")
     assert set(MOUNTS) <= set(re.findall(r"`([\w-]+)`", page))
 

@@ -60,7 +60,7 @@ def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> st
 def test_a_window_opens_responds_to_keys_and_closes(tmp_path, xvfb):
     display = xvfb()
     press = partial(press_keys, environment(display, tmp_path))
-    with started("view", "--at", "20", display=display, home=tmp_path) as window:
+    with started("view", "--start", "20", display=display, home=tmp_path) as window:
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or soon((saved / "screenshot.png").exists, 1.0), "a screenshot")
         day = cv2.imread(str(saved / "screenshot.png"))
@@ -168,7 +168,7 @@ def test_without_a_display_a_script_draws_headless(tmp_path):
     for name, more in (("raw", []), ("processed", ["-c", str(settings)])):
         shot = tmp_path / f"{name}.png"
         done = subprocess.run(
-            [*GLSTAR, "view", "--headless", "--at", "20", "--processed", "--screenshot", str(shot), "--exit", *more],
+            [*GLSTAR, "view", "--headless", "--start", "20", "--processed", "--screenshot", str(shot), "--exit", *more],
             env=environment(None, tmp_path),
             check=True,
             timeout=PATIENCE_S,

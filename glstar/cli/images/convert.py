@@ -71,6 +71,18 @@ def convert(
     if is_flight_description(str(export)) or export.is_file() or str(export) == DEMO:
         _tabulate(export, Path(output), kind, as_json=as_json)
         return
+    written = _converted(export, output, kind, min_snr, shard_frames, video_fps)
+    if as_json:
+        typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
+    else:
+        for path in written:
+            typer.echo(f"{kind}: {path}")
+
+
+def _converted(
+    export: Path, output: str, kind: str, min_snr: float, shard_frames: int, video_fps: float
+) -> tuple[str, ...]:
+    """Write an export in another format; return what was written."""
     if not export.is_dir():
         raise ExportError(export, "is no directory of an export, and no flight")
     refuse_links(export)
@@ -78,16 +90,10 @@ def convert(
         raise ConfigError(f"{output}: only --to webdataset writes to an object store")
     with reading(export, ExportError, "cannot be converted, a line of its truth is damaged", is_unchecked=True):
         if kind in {"coco", "yolo", "webdataset"}:
-            written = _written_to_learn(export, output, kind, min_snr, shard_frames)
-        elif kind == "srt":
-            written = _subtitles(export, Path(output), video_fps)
-        else:
-            written = tuple(map(str, _written(export, Path(output), kind)))
-    if as_json:
-        typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
-    else:
-        for path in written:
-            typer.echo(f"{kind}: {path}")
+            return _written_to_learn(export, output, kind, min_snr, shard_frames)
+        if kind == "srt":
+            return _subtitles(export, Path(output), video_fps)
+        return tuple(map(str, _written(export, Path(output), kind)))
 
 
 def _tabulate(flight: Path, output: Path, kind: str, *, as_json: bool) -> None:

@@ -443,11 +443,11 @@ def _light_notes(frames: "Frames") -> list[str]:
     checked = [_ground_and_sun(frames.shot(int(number))) for number in numbers]
     grounded = sum(sees_ground for sees_ground, _ in checked)
     notes = []
+    middle = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
     if grounded:
-        label = mount_label(frames.shot(int(numbers[0])).simulator.mount)
         notes.append(
             f"{_of_checked(grounded, len(checked))} show only the ground, because the camera points below the horizon"
-            f" ({label}): --mount or [mount] says how it is mounted"
+            f" ({mount_label(middle.simulator.mount)}): --mount or [mount] says how it is mounted"
         )
     sun_deg = [sun for _, sun in checked]
     by_day = sum(sun > _DAY_DEG for sun in sun_deg)
@@ -456,7 +456,6 @@ def _light_notes(frames: "Frames") -> list[str]:
             f"{_of_checked(by_day, len(checked))} are of day or bright twilight, with the Sun up to"
             f' {max(sun_deg):.0f} deg high: a camera sees no stars then; [sky] brightness = "natural" shows it'
         )
-    middle = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
     if middle.simulator.sensor.effects.get("sky.brightness") == "natural":
         notes.append(f"the middle frame: {conditions_report(middle.simulator.scene(middle.exposure))}")
     satellites = middle.simulator.sky.satellites
