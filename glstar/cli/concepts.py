@@ -77,9 +77,9 @@ CONCEPTS: Final = (
     # The flight: the log and what it lacks, or its description.
     Concept("config", "a TOML file of settings", FLIGHT, _FILE, short="c"),
     Concept("flight", "a flight log", FLIGHT, _FILE),
-    Concept("lat", "latitude, deg, north positive", FLIGHT, _DEG, "flight.latitude_deg", old=("fly: latitude-deg",)),
-    Concept("lon", "longitude, deg, east positive", FLIGHT, _DEG, "flight.longitude_deg", old=("fly: longitude-deg",)),
-    Concept("height", "height above the WGS84 ellipsoid, m", FLIGHT, _M, "flight.height_m", old=("fly: height-m",)),
+    Concept("lat", "latitude, deg, north positive", FLIGHT, _DEG, "flight.latitude_deg"),
+    Concept("lon", "longitude, deg, east positive", FLIGHT, _DEG, "flight.longitude_deg"),
+    Concept("height", "height above the WGS84 ellipsoid, m", FLIGHT, _M, "flight.height_m"),
     Concept("utc", "an instant, UTC, ISO 8601", FLIGHT, _UTC),
     Concept("utc-start", "UTC of the first attitude", FLIGHT, _UTC, "flight.utc_start", old=("start-utc",)),
     Concept("utc-now", "the computer's clock as UTC", FLIGHT),

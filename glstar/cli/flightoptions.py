@@ -57,7 +57,8 @@ CAMERA_FLAGS = frozenset({"camera", "lens_mm", "f_number", "gain"})
 Flight = Annotated[
     Path | None,
     typer.Argument(
-        help="A flight log: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or a table; also in .gz or .zip; or demo.",
+        help="A log of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), or a table; also in .gz or .zip; demo; or"
+        " fly:orbit and other described flights (glstar manual fly).",
         show_default="the bundled flight",
     ),
 ]

@@ -96,6 +96,14 @@ def test_fly_names_its_successor_which_writes_the_same_flight(tmp_path: Path) ->
     assert "glstar convert 'fly:...' -o FILE.csv" in notes[1]
 
 
+def test_the_flags_of_fly_are_read_as_they_were(tmp_path: Path) -> None:
+    flown = invoke("fly", "hover", "--latitude-deg", 52, "--height-m", 90, "--duration-s", 1, "-o", tmp_path / "a.csv")
+
+    assert (flown.rc, flown.err.count("\n")) == (0, 1)
+    facts = json.loads(invoke("info", tmp_path / "a.csv", "--json").out)
+    assert (facts["latitude_deg"], facts["height_m"], facts["duration_s"]) == (52.0, 90.0, 1.0)
+
+
 def test_a_log_is_converted_to_a_table_with_its_attitudes(tmp_path: Path) -> None:
     report = json.loads(invoke("convert", "demo", "-o", tmp_path / "demo.csv", "--json").out)
 

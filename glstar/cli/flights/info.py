@@ -42,7 +42,8 @@ def info(
     flights: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables; or folders of them.",
+            help="Flights: logs of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), CSV tables; folders of them; demo; or fly:orbit and other"
+            " described ones (glstar manual fly).",
             show_default="the bundled flight",
         ),
     ] = None,

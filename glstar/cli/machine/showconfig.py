@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from glstar.camera.mounts import mount_label
 from glstar.cli.flightoptions import FlightFlags, with_flight_flags
 from glstar.cli.tables import print_table
 from glstar.config.config import DEFAULT, origins
@@ -52,6 +53,8 @@ def show_config(
         for key, (value, origin) in values.items():
             table.add_row(f"{section}.{key}", toml_value(value), origin)
     print_table(table)
+    if not changed:
+        typer.echo(f"\n{mount_label(settings.mount())}: glstar manual mounts")
 
 
 def _write_template(path: Path) -> None:
