@@ -42,8 +42,8 @@ MAX_WORKERS = 8
 Flights = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="Flights: logs of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), CSV tables; demo; or fly:orbit and other"
-        " described ones (glstar manual fly).",
+        help="Flights: logs of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), CSV tables; demo; or fly:orbit and"
+        " other described ones (glstar manual fly).",
         show_default="the bundled flight",
     ),
 ]
