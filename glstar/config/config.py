@@ -172,7 +172,8 @@ class Config:
         tables = {section: dict(keys) for section, keys in self._tables.items()}
         given = {key: reading.absolute(key, value, Path.cwd()) for key, value in flags.items() if value is not None}
         given = {reading.present(key): value for key, value in given.items()}
-        tables["mount"] = reading.mount_table(tables.get("mount", {}), given)
+        if "mount" in tables:
+            tables["mount"] = reading.mount_table(tables["mount"], given)
         if {"camera.file", "camera.preset"} & given.keys():
             tables["camera"] = {}
         if "sensor.file" in given:

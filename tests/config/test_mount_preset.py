@@ -103,6 +103,16 @@ def test_a_config_written_out_has_the_mount(tmp_path: Path) -> None:
     assert Config.load(again).mount() == named.mount()
 
 
+def test_a_sweep_varies_the_mount(tmp_path: Path) -> None:
+    path = tmp_path / "sweep.toml"
+    path.write_text('[mount]\npitch_deg = 10\n[sweep]\nmount.preset = ["zenith", "left-up-30"]\n', encoding="utf-8")
+
+    config = Config.load(path)
+
+    labels = [mount_label(config.at({"mount.preset": name}).mount()) for name in ("zenith", "left-up-30")]
+    assert labels == ["zenith mount", "left-up-30 mount"]
+
+
 def test_config_shows_the_angles_and_their_origin() -> None:
     shown = CliRunner().invoke(app, ["config", "--mount", "nose", "--changed", "--json"])
 
