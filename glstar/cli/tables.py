@@ -20,7 +20,7 @@ def print_table(table: Table, *, pipe_columns: int = PIPE_COLUMNS) -> None:
     """Print a table within the width of the terminal.
 
     A table that is too wide loses its box and wraps its cells between words; if words are too long for that, its rows
-    are printed one after the other.  `pipe_columns`: the width where the standard output is no terminal.
+    are printed one after the other, in a terminal.  `pipe_columns`: the width where the standard output is no terminal.
     """
     console = console_of_width(pipe_columns)
     if _width(table) > console.width:
@@ -29,8 +29,10 @@ def print_table(table: Table, *, pipe_columns: int = PIPE_COLUMNS) -> None:
             # The names of columns in files have underscores, between which a line breaks.
             column.header = _plain(column.header).replace("_", " ")
         if not _fit(table, console.width):
-            _print_rows(table, console)
-            return
+            if sys.stdout.isatty():
+                _print_rows(table, console)
+                return
+            console = console_of_width(_width(table))  # a program that reads it finds a row on a line
     console.print(table)
 
 

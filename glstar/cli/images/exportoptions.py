@@ -167,7 +167,7 @@ Split = Annotated[
         show_default="no",
     ),
 ]
-SplitShares = Annotated[str, typer.Option(metavar="TRAIN,VALIDATION,TEST", help="Shares of the flights with --split.")]
+SplitShares = Annotated[str, typer.Option(help="Shares of the flights for training, validation and test with --split.")]
 SplitSeed = Annotated[int, typer.Option(help="Seed of --split.")]
 Card = Annotated[
     bool | None,
