@@ -93,7 +93,10 @@ COMMANDS = {
         "Measure how many frames a second this machine draws, and draws and writes as PNG, by image size.",
     ),
     "manual": Entry(
-        "machine.manual", "manual", "Print a page of the manual, or the lines of all pages that have a word.", _MACHINE
+        "machine.manual",
+        "manual",
+        "Print a page of the manual, or the lines of all pages that have some words.",
+        _MACHINE,
     ),
     # Flights, not listed as commands: the first frames of a newcomer, and a table of a described flight.
     "demo": Entry(

@@ -62,6 +62,16 @@ def test_a_word_is_found_on_all_pages_the_richest_first():
     assert max(map(len, printed.splitlines())) <= 80
 
 
+def test_blank_words_print_the_list():
+    assert manual(" ").output == manual().output
+
+
+def test_several_words_are_found_in_one_line_and_name_a_page():
+    assert re.search(r"^problems: \d+$", manual("killed", "export").output, re.MULTILINE)
+    assert "no line with it" in manual("killed", "xyzzy").output
+    assert manual("rolling", "shutter").output == manual("rolling-shutter").output
+
+
 def test_a_word_is_found_inside_a_long_line():
     assert re.search(r"^ +\d+  .*WebDataset", manual("webdataset").output, re.MULTILINE)
 
@@ -71,7 +81,7 @@ def test_a_word_is_found_inside_a_long_line():
     [
         ("mount", "mounts", "forward-up-30"),
         ("day log", "problems", "--utc-start"),
-        ("figures of a comparison", "problems", "centroid distance"),
+        ("figures comparison", "problems", "centroid distance"),
         ("killed", "problems", "glstar export --recover DIR"),
         ("yolo", "learning", "--to yolo"),
     ],
