@@ -1,6 +1,6 @@
 """The calibration from image files to sensor and camera: read, detect, identify, fit, combine.
 
-`calibrate_photographs` does all of it, for ``glstar calibrate`` and for Python (`glstar.calibrate_photographs`).  The
+`calibrate_photographs` does all of it, for ``glstar camera calibrate`` and `glstar.calibrate_photographs`.  The
 window runs the steps one by one, and solves again without the stars that the user removes.  Teague & Chahl, section
 2.5.
 """
@@ -28,7 +28,7 @@ from glstar.calibrate.notes import Note, NoteKind, notes_without
 from glstar.calibrate.photo.detection import DetectedStars, detect_stars
 from glstar.calibrate.photo.photograph import Channel, Photograph, linearised, read_image
 from glstar.calibrate.photo.sky import fit_gamma
-from glstar.calibrate.sensor.brightness import above_air, above_air_together
+from glstar.calibrate.sensor.brightness import above_air, above_air_together, with_air_noted
 from glstar.calibrate.sensor.calibration import Calibration, calibrate, with_point_spread
 from glstar.calibrate.sensor.combine import CombinedCalibration, combine, draw_combined
 from glstar.calibrate.sensor.fit import Criterion
@@ -161,6 +161,8 @@ class IdentifiedPhotograph:
             )
             if is_only and options.extinction != "none":
                 calibration = above_air(calibration, options.extinction_mag)
+            elif options.extinction == "none":
+                calibration = with_air_noted(calibration)
             return with_point_spread(calibration) if options.shape else calibration
         except CalibrationError as error:
             if not is_only or options.extinction != "none":
@@ -250,7 +252,7 @@ def calibrate_photographs(
     on_step: Callable[[int, int], None] | None = None,
     on_note: Callable[[str], None] | None = None,
 ) -> CalibrationResult:
-    """Calibrate sensor and camera from photographs of the stars, as ``glstar calibrate`` does.
+    """Calibrate sensor and camera from photographs of the stars, as ``glstar camera calibrate`` does.
 
     The stars are identified by labels, if they are given; else by attitude, site and time, or a flight; else by their
     pattern, for which the tetra3rs library is needed.  Either `fov_deg` or `config` says how wide the view is.
@@ -316,7 +318,7 @@ def calibrate_photographs(
     CalibrationError
         An image cannot be read, or its stars cannot be identified or measured.
     ConfigError
-        Inputs contradict each other; the message names the options of ``glstar calibrate``.
+        Inputs contradict each other; the message names the options of ``glstar camera calibrate``.
 
     References
     ----------

@@ -244,7 +244,8 @@ def camera_from_preset(name: str, lens_mm: float | None = None) -> Camera:
     if lens_mm is not None and name in presets:
         raise ConfigError(f'the camera "{name}" has a lens of its own; leave lens_mm out', key="camera.lens_mm")
     if name not in presets:
-        near = nearest_word(name.lower(), presets, cutoff=0.5)
+        modes = [mode.name for sensor in sensor_presets().values() for mode in sensor.modes]
+        near = nearest_word(name.lower(), [*presets, *modes], cutoff=0.5)
         hint = "there" if near is None else f'did you mean "{near}"? There'
         listed = f"{', '.join(presets)}, and the sensors that glstar camera presets lists"
         raise ConfigError(f'there is no camera "{label(name)}" ({hint} are {listed})', key="camera.preset")

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from glstar.camera.mounts import MOUNTS
 from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_presets
 from glstar.cli.reporting import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
@@ -21,6 +22,16 @@ from glstar.flight import Interpolation
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.system.resources import bundled_flight, flight_path
 
+
+def completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return a function that lists the names that begin with a word; they are read only where the shell asks."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
+
+    return complete
+
+
 LensMm = Annotated[
     float | None, typer.Option("--lens-mm", help="Focal length of the lens before --camera's sensor, mm.", min=0.01)
 ]
@@ -29,13 +40,25 @@ FNumber = Annotated[
 ]
 AnalogueGain = Annotated[float | None, typer.Option("--gain", help="Analogue gain of --camera's sensor.", min=0.001)]
 
+MountName = Annotated[
+    str | None,
+    typer.Option(
+        "--mount",
+        help="How the camera is mounted: zenith, down, nose, tail, left, right, forward-up-30, ...; see glstar manual"
+        " mounts.",
+        show_default="zenith, or the config's",
+        autocompletion=completion(lambda: MOUNTS),
+    ),
+]
+
 # Flags of the camera, for commands that draw no images.
 CAMERA_FLAGS = frozenset({"camera", "lens_mm", "f_number", "gain"})
 
 Flight = Annotated[
     Path | None,
     typer.Argument(
-        help="A flight log: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or a table; also in .gz or .zip; or demo.",
+        help="A log of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), or a table; also in .gz or .zip; demo; or"
+        " fly:orbit and other described flights (glstar manual fly).",
         show_default="the bundled flight",
     ),
 ]
@@ -53,6 +76,9 @@ Lat = Annotated[
     typer.Option(help="Latitude, deg, north positive, for a log without positions.", show_default="the log's"),
 ]
 Lon = Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="the log's")]
+Height = Annotated[
+    float | None, typer.Option(help="Height of that place above the WGS84 ellipsoid, m.", show_default="0 with --lat")
+]
 Sysid = Annotated[
     int | None,
     typer.Option(
@@ -107,15 +133,6 @@ Format = Annotated[
         show_default="png; png16 over 8 bits",
     ),
 ]
-
-
-def completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
-    """Return a function that lists the names that begin with a word; they are read only where the shell asks."""
-
-    def complete(incomplete: str) -> list[str]:
-        return [name for name in names() if name.startswith(incomplete)]
-
-    return complete
 
 
 def _cameras() -> Iterable[str]:
@@ -205,6 +222,7 @@ class FlightFlags:
     utc_start: UtcStart = None  # this and the next fields are keys of ``[flight]``
     lat: Lat = None
     lon: Lon = None
+    height: Height = None
     sysid: Sysid = None
     vehicle: Vehicle = None
     boot: Boot = None
@@ -218,6 +236,7 @@ class FlightFlags:
     lens_mm: LensMm = None
     f_number: FNumber = None
     gain: AnalogueGain = None
+    mount: MountName = None
 
     def settings(self, **others: object) -> Config:
         """Return the config of the file with the flags and other values, by dotted key, applied.
@@ -226,7 +245,9 @@ class FlightFlags:
         """
         lens = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
         flight = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
-        settings = (Config() if self.config is None else Config.load(self.config)).override(**flight, **lens, **others)
+        settings = (Config() if self.config is None else Config.load(self.config)).override(
+            **flight, **lens, **{"mount.preset": self.mount}, **others
+        )
         echo_catalogue_note(settings.sky.catalogue)
         return settings
 
@@ -243,6 +264,7 @@ class FlightFlags:
         return {
             **{key: of_lens.get(key, "--camera") for key, value in settings.items() if value is not None},
             **{f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in given},
+            **({} if self.mount is None else {"mount.preset": "--mount"}),
         }
 
 

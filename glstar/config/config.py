@@ -171,6 +171,9 @@ class Config:
         """
         tables = {section: dict(keys) for section, keys in self._tables.items()}
         given = {key: reading.absolute(key, value, Path.cwd()) for key, value in flags.items() if value is not None}
+        given = {reading.present(key): value for key, value in given.items()}
+        if "mount" in tables:
+            tables["mount"] = reading.mount_table(tables["mount"], given)
         if {"camera.file", "camera.preset"} & given.keys():
             tables["camera"] = {}
         if "sensor.file" in given:
@@ -394,7 +397,7 @@ class Config:
         camera_keys = self._tables.get("camera") or {"preset": reading.BUNDLED_CAMERA}
         return {
             "camera": camera_numbers(self._camera) | reading.source_of(camera_keys),
-            "mount": self._mount.model_dump(),
+            "mount": self._mount.model_dump(exclude_none=True),
             "exposure": self.exposure.model_dump(exclude_none=True),
             "sensor": self._sensor.given
             | reading.source_of(reading.with_sensor_of_camera(self._tables).get("sensor", {})),
@@ -440,7 +443,7 @@ class Config:
         given, tables = tables, reading.with_sensor_of_camera(tables)
         lens = reading.section_of(CameraSection, "camera", tables, faults)
         camera = reading.camera_of(lens, tables, folder, faults)
-        mount = reading.section_of(MountSection, "mount", tables, faults)
+        mount = reading.mount_of(reading.section_of(MountSection, "mount", tables, faults), tables, faults)
         exposure = reading.section_of(ExposureSection, "exposure", tables, faults)
         sensor = reading.sensor_of(
             reading.section_of(SensorSection, "sensor", tables, faults), tables, folder, faults, camera, lens

@@ -34,7 +34,7 @@ _OF_ANY_LENGTH = {
     "latitude_deg",
     "longitude_deg",
     "height_m",
-    "start_utc",
+    "utc_start",
     "direction",
     "route",
     "pitch_deg",
@@ -60,6 +60,7 @@ FLIGHT_FLAGS = MappingProxyType(
         "utc_start": "--utc-start",
         "latitude_deg": "--lat",
         "longitude_deg": "--lon",
+        "height_m": "--height",
         "sysid": "--sysid",
         "vehicle": "--vehicle",
         "boot": "--boot",
@@ -78,7 +79,7 @@ class _SyntheticKeys(Section):
 
     path: FlightPath | None = Field(default=None, description="the path, which makes the section a flight")
 
-    @field_validator("start_utc", mode="before", check_fields=False)
+    @field_validator("utc_start", mode="before", check_fields=False)
     @classmethod
     def _toml_time(cls, value: object) -> object:
         """Accept a time without quotes, which TOML reads as a datetime."""
@@ -228,6 +229,8 @@ class MountSection(Section):
     pitch_deg: float = Field(default=degrees(_MOUNT.pitch_rad), description="a number of degrees")
     roll_deg: float = Field(default=degrees(_MOUNT.roll_rad), description="a number of degrees")
     reading: Literal["body", "literal"] = _MOUNT.reading
+    # A mount by name, in place of the angles and their reading; see `glstar.camera.mounts`.
+    preset: str | None = Field(default=None, min_length=1, description='the name of a mount, such as "forward-up-30"')
     gimbal: GimbalMode = "none"
     gimbal_roll_limit_deg: float = Field(default=180.0, ge=0, le=180, description="a number of degrees, 0 to 180")
     gimbal_pitch_limit_deg: float = Field(default=90.0, ge=0, le=90, description="a number of degrees, 0 to 90")

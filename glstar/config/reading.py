@@ -13,12 +13,13 @@ from glstar.camera.camerafile import camera_from_file
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.exposure import check_readouts
 from glstar.camera.model import Camera
+from glstar.camera.mounts import mount_by_name
 from glstar.camera.presets import camera_from_preset, is_sensor_mode, preset_file, sensor_mode
 from glstar.camera.sensor.colourband import ColourBand
 from glstar.camera.sensor.sensor import EffectValue
 from glstar.camera.sensor.tonecurve import is_curve_text
 from glstar.config.camera import CameraSection, ExposureSection
-from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, SyntheticSection
+from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, MountSection, SyntheticSection
 from glstar.config.keys import PATHS, PRESETS, SECTIONS, SOURCES, Fault, allowed, at_home, hint, key_text, shown
 from glstar.config.section import Section, is_file_name
 from glstar.config.sensor import SENSOR_MAPS, SensorSection, completed_sensor, foreign_keys
@@ -35,6 +36,7 @@ from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import HorizonProfile
 from glstar.system.userinput import did_you_mean, read_toml
 from glstar.telemetry import is_map_file
+from glstar.telemetry.synthetic import OLD_KEYS, present_key
 
 # The default camera: small enough that a frame takes about 30 ms without a GPU.
 BUNDLED_CAMERA = "picamhq-6mm-binned4"
@@ -72,7 +74,43 @@ def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
             faults.append((name, f"must be a section, [{name}] with keys below it, not {shown(value)}"))
         else:
             tables[name] = value
+    if SYNTHETIC in tables:
+        tables[SYNTHETIC] = {present_key(key): value for key, value in tables[SYNTHETIC].items()}
     return tables, faults
+
+
+def present(dotted: str) -> str:
+    """Return a dotted key under its present name; warn of an old one."""
+    section, _, key = dotted.rpartition(".")
+    return f"{section}.{present_key(key)}" if section == SYNTHETIC and key in OLD_KEYS else dotted
+
+
+def mount_table(table: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``[mount]`` before values are put into it: a preset replaces angles, and an angle is one of the preset."""
+    angles = {"yaw_deg", "pitch_deg", "roll_deg", "reading"}
+    if "mount.preset" in given:
+        return {key: value for key, value in table.items() if key not in angles}
+    if "preset" not in table or not {f"mount.{key}" for key in angles} & given.keys():
+        return table
+    named = mount_by_name(table["preset"])
+    rest = {key: value for key, value in table.items() if key != "preset"}
+    return {**rest, "yaw_deg": named.yaw_deg, "pitch_deg": named.pitch_deg, "roll_deg": named.roll_deg}
+
+
+def mount_of(section: MountSection, tables: Tables, faults: list[Fault]) -> MountSection:
+    """Return the section with the angles of its preset; if it has errors, append them to `faults`."""
+    if section.preset is None:
+        return section
+    if both := sorted({"yaw_deg", "pitch_deg", "roll_deg", "reading"} & tables.get("mount", {}).keys()):
+        faults.append(("mount", f"has preset and {' and '.join(both)}; give a preset or angles, and only one of them"))
+        return section
+    try:
+        named = mount_by_name(section.preset)
+    except ConfigError as error:
+        faults.append(("mount.preset", str(error)))
+        return section
+    angles = {"yaw_deg": named.yaw_deg, "pitch_deg": named.pitch_deg, "roll_deg": named.roll_deg}
+    return section.model_copy(update={key: float(value) for key, value in angles.items()})
 
 
 def _with_subsections(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -191,7 +229,7 @@ def _lens_faults(section: CameraSection) -> list[Fault]:
 
 
 def _camera_of_calibration(path: Path, faults: list[Fault]) -> Camera:
-    """Return the camera and lens of a TOML file as written by `glstar calibrate`."""
+    """Return the camera and lens of a TOML file as written by `glstar camera calibrate`."""
     try:
         document = toml_of(path)
     except ConfigError as error:

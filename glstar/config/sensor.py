@@ -72,7 +72,7 @@ class SensorSection(Section):
     sky_e_per_s: float | None = Field(default=None, ge=0, description="a number of electrons per second, 0 or more")
     sky_mag_per_arcsec2: float | None = Field(default=None, description="magnitudes per square arcsecond")
     star_brightness: str | None = Field(
-        default=None, min_length=1, description="the path of a CSV table that glstar calibrate wrote, in quotes"
+        default=None, min_length=1, description="the path of a CSV table that glstar camera calibrate wrote, in quotes"
     )
     file: str | None = Field(
         default=None, min_length=1, description="the path of a TOML file with a [sensor] table, in quotes"

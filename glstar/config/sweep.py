@@ -33,7 +33,7 @@ _READING_KEYS = (
     "navigator.attitude",
 )
 # Keys whose values are times.
-_TIMES = ("flight.utc_start", "flight.synthetic.start_utc")
+_TIMES = ("flight.utc_start", "flight.synthetic.utc_start")
 _RANGE_KEYS = {"min", "max", "log", "sine"}
 
 

@@ -23,7 +23,7 @@ module                holds
 ``outgoing``          all that glstar sends: heartbeats, requests, and position fixes if the caller gives an `Injector`
 ``camera``            a MAVLink camera beside the vehicle, if the caller gives a `CameraComponent`
 ``supervisor``        `Link`, the thread that owns a link; `Received`, the copy from which it makes a flight
-``vehicle``           `Vehicle`, the sender of ``glstar replay-link``
+``vehicle``           `Vehicle`, the sender of ``glstar live replay``
 ====================  ==================================================================================================
 """
 

@@ -1,7 +1,7 @@
 """Brightness and magnitudes, colours of stars, and their magnitudes in a camera's band.
 
 Colours are B - V of the catalogue, or of Hipparcos for the bundled catalogue, which has none.  `StarBrightness` holds
-magnitudes that `glstar calibrate` measured, instead of the catalogue's V.
+magnitudes that `glstar camera calibrate` measured, instead of the catalogue's V.
 """
 
 import csv
@@ -112,8 +112,8 @@ class StarBrightness:
     def open(cls, path: str | PathLike[str]) -> Self:
         """Read a table from a file.
 
-        `path`: CSV as written by ``glstar calibrate``, with the columns ``catalogue``, ``star_id`` (``hr`` in older
-        tables), ``vmag`` and ``camera_mag``.  Raises CalibrationError if the file cannot be read, lacks a column,
+        `path`: CSV as written by ``glstar camera calibrate``, with the columns ``catalogue``, ``star_id`` (``hr`` in
+        older tables), ``vmag`` and ``camera_mag``.  Raises CalibrationError if the file cannot be read, lacks a column,
         contains a value that is not a number, or a star twice.
         """
         path = Path(path)

@@ -217,7 +217,8 @@ class Recording:
         of_clock = self.clock.notes if options.utc_start is None else ()
         of_positions = self.position_notes if options.position is None else ()
         if options.site is not None and options.track is None and self.position.clock_s.size:
-            place = f"the given place, at a height of {options.site.height_m:g} m,"
+            height = f"{options.site.height_m:g} m" + ("" if options.site.height_m else " (--height gives another)")
+            place = f"the given place, at a height of {height},"
             of_positions = (f"{place} replaces the positions of the log ({self.position.source})",)
         of_triggers = [note for part in self.triggers for note in part.remarks(self.utc_minus_clock_s)]
         return tuple(dict.fromkeys((*self.attitude.notes, *of_clock, *of_positions, *of_triggers)))

@@ -7,8 +7,10 @@ follow ``?``, joined by ``&``.  By default a flight has the position and the nig
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
+from types import MappingProxyType
 from typing import Any, Self
 from urllib.parse import parse_qsl
+from warnings import warn
 
 import numpy as np
 
@@ -21,7 +23,7 @@ from glstar.flight.synthetic.syntheticflight import FLIGHT_PATHS, SyntheticFligh
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import did_you_mean
+from glstar.system.userinput import did_you_mean, nearest_word
 from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, LogFacts, PositionSamples, Samples, TelemetrySource
 
@@ -47,13 +49,24 @@ def _whole_number(text: str) -> int:
 
 
 def _gusts(text: str) -> float:
-    return _GUSTS[text] if text in _GUSTS else _number(text)
+    if text in _GUSTS:
+        return _GUSTS[text]
+    try:
+        return _number(text)
+    except ValueError:
+        raise _no_choice(text, _GUSTS) from None
+
+
+def _no_choice(text: str, choices: Collection[str]) -> ValueError:
+    """Return the error of a word that is none of the choices, with the most similar of them."""
+    near = nearest_word(text, choices)
+    return ConfigError(f"did you mean {near}?") if near else ValueError(text)
 
 
 def _one_of(*choices: str) -> Callable[[str], str]:
     def check(text: str) -> str:
         if text not in choices:
-            raise ValueError(text)
+            raise _no_choice(text, choices)
         return text
 
     return check
@@ -100,7 +113,7 @@ KEYS: Mapping[str, Setting] = {
     "latitude_deg": Setting(_radians, "-34.93", "latitude of an orbit's centre or of the start, deg, north positive"),
     "longitude_deg": Setting(_radians, "138.60", "its longitude, deg, east positive"),
     "height_m": Setting(_number, "300", "height above the WGS84 ellipsoid, m"),
-    "start_utc": Setting(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
+    "utc_start": Setting(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
     "duration_s": Setting(
         _number, "", "duration, s; by default that of the turns of an orbit or of all waypoints, else 60"
     ),
@@ -139,6 +152,8 @@ KEYS: Mapping[str, Setting] = {
     "rate_hz": Setting(_number, "200", "attitudes a second"),
     "seed": Setting(_whole_number, "0", "of gusts and vibration: the same seed gives the same flight"),
 }
+# Names of keys in the last release, which are read for one more.
+OLD_KEYS = MappingProxyType({"start_utc": "utc_start"})
 # Fields of `SyntheticFlight` that take a key's value as it is, and keys whose fields are in radians.
 _SAME_NAMES = {field.name for field in fields(SyntheticFlight)} & KEYS.keys()
 _ANGLES = ("heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate_deg_per_s")
@@ -159,10 +174,19 @@ def parse_description(text: str) -> SyntheticFlight:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True, separator="&") if query else []
     except ValueError:
         raise ConfigError(f"{text}: keys are written key=value and joined by &") from None
+    pairs = [(present_key(key), value) for key, value in pairs]
     keys = [key for key, _ in pairs]
     if twice := {key for key in keys if keys.count(key) > 1}:
         raise ConfigError(f"{text}: {min(twice)} is given twice")
     return synthetic_flight(path, dict(pairs))
+
+
+def present_key(key: str) -> str:
+    """Return a key of a described flight under its present name; warn of an old one."""
+    if key not in OLD_KEYS:
+        return key
+    warn(f"the key {key} is called {OLD_KEYS[key]} now; the old name goes with the next release", stacklevel=2)
+    return OLD_KEYS[key]
 
 
 def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
@@ -182,7 +206,7 @@ def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
     return SyntheticFlight(
         path,
         Site(values["latitude_deg"], values["longitude_deg"], values["height_m"]),
-        values["start_utc"],
+        values["utc_start"],
         clockwise=values["direction"] == "right",
         wind=Wind.from_direction(values["wind_m_per_s"], values["wind_from_deg"]),
         gusts_20ft_m_per_s=values["gusts"],

@@ -1,4 +1,4 @@
-"""What `glstar calibrate` recovers of known cameras: ``poe bench calibrate``, or ``python -m tests.bench.calibration``.
+"""What `glstar camera calibrate` recovers of known cameras: ``poe bench calibrate``.
 
 Images are drawn by the exporter's own renderer with known parameters (sky level and noise, width of the point spread
 function, bit depth, field of view, attitude) and calibrated: three in four from an attitude with an error of a degree

@@ -1,8 +1,8 @@
 """False identifications on hazy, noisy wide-field images: ``poe bench false-stars``.
 
 Images are drawn by `tests.plainphotos.hazy` (50 deg, barrel distortion, patchy haze, hot pixels) over many seeds and
-calibrated as `glstar calibrate --fov 50` does, or from an attitude with an error of two degrees.  Prints a line for
-each image with stars more than 3 px from their positions by the true camera, then the sum.
+calibrated as `glstar camera calibrate --fov 50` does, or from an attitude with an error of two degrees.  Prints a line
+for each image with stars more than 3 px from their positions by the true camera, then the sum.
 
     --images N     images of each kind, 40 by default
     --attitude     from a rough attitude instead of the pattern

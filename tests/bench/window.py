@@ -119,7 +119,17 @@ def _start_s() -> float:
     took_s = []
     with tempfile.TemporaryDirectory() as folder:
         picture = str(Path(folder) / "window.png")
-        command = [sys.executable, "-m", "glstar", "view", "--headless", "--at", str(START_S), "--screenshot", picture]
+        command = [
+            sys.executable,
+            "-m",
+            "glstar",
+            "view",
+            "--headless",
+            "--start",
+            str(START_S),
+            "--screenshot",
+            picture,
+        ]
         for _ in range(3):
             before_s = spent_s()
             subprocess.run([*command, "--exit", str(asset("adelaide.BIN"))], check=True, capture_output=True)

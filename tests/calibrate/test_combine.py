@@ -203,7 +203,7 @@ def test_the_command_takes_several_images(
     output = tmp_path / "c.toml"
 
     def run(*more: str) -> tuple[int, str, str]:
-        result = CliRunner().invoke(app, ["calibrate", *images, "--fov", "40", "-o", str(output), *more])
+        result = CliRunner().invoke(app, ["camera", "calibrate", *images, "--fov", "40", "-o", str(output), *more])
         return result.exit_code, result.stdout, result.stderr
 
     code, output_text, error = run("--exposure", "0.5")

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.notes import NoteKind
 from glstar.calibrate.photo.detection import detect_stars
-from glstar.calibrate.sensor.brightness import above_air, above_air_together
+from glstar.calibrate.sensor.brightness import above_air, above_air_together, with_air_noted
 from glstar.calibrate.sensor.calibration import Calibration, calibrate
 from glstar.calibrate.sensor.combine import combine
 from glstar.calibrate.sensor.fit import fit_brightness
+from glstar.calibrate.sensor.misfitmeasurement import corner_distance, measure_misfit
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from tests.support.starphotos import EXPOSURE_S, StarPhoto
@@ -113,3 +115,52 @@ def test_an_unknown_site_is_refused():
     unknown = replace(behind_air(), reference=replace(behind_air().reference, C_ned_eq=None))
     with pytest.raises(CalibrationError, match=r"needs the altitude of the stars.*--utc"):
         above_air(unknown, 0.2)
+
+
+def with_misfit(calibration: Calibration) -> Calibration:
+    """Return a calibration with the notes on what its model lacks."""
+    given = calibration.image, calibration.detected, calibration.matches
+    misfit = measure_misfit(*given, calibration.sensor, calibration.brightness, calibration.stars)
+    return replace(calibration, misfit=misfit, notes=misfit.notes(calibration.sensor))
+
+
+def test_darker_corners_of_a_low_image_are_put_down_to_the_air():
+    """Behind 0.28 mag per air mass, 33 deg high, the corners of an image without vignetting are 25 % darker."""
+    seen = with_misfit(behind_air(0.28))
+    assert "the corners are 25 % darker than the centre" in str(seen.notes[0])
+
+    [note] = with_air_noted(seen).notes
+
+    assert note.kind is NoteKind.VIGNETTING
+    assert "the air dims the stars by 0.279 ± 0.002 mag per air mass" in note.text
+    assert "the corners are as bright as the centre without it" in note.text
+    assert "--extinction fit" in note.text
+
+
+def test_darker_corners_without_the_air_stay_vignetting():
+    above = without_air()
+    across = corner_distance(above.image, above.matches, above.stars.xy_px)
+    peak_dn = above.stars.peak_dn * 10 ** (-0.4 * 0.4 * across**2)
+    dark = with_misfit(replace(above, stars=replace(above.stars, peak_dn=peak_dn)))
+    assert "vignetting" in str(dark.notes[0])
+
+    assert with_air_noted(dark).notes == dark.notes
+
+
+def test_darker_corners_by_lens_and_air_have_both_notes():
+    low = behind_air(0.28)
+    across = corner_distance(low.image, low.matches, low.stars.xy_px)
+    peak_dn = low.stars.peak_dn * 10 ** (-0.4 * 0.4 * across**2)
+    both = with_air_noted(with_misfit(replace(low, stars=replace(low.stars, peak_dn=peak_dn))))
+
+    air, lens = (note.text for note in both.notes)
+    assert "per air mass" in air
+    assert "the corners are as bright" not in air
+    assert "vignetting" in lens
+
+
+def test_without_altitudes_darker_corners_stay_vignetting():
+    seen = with_misfit(behind_air(0.28))
+    unknown = replace(seen, reference=replace(seen.reference, C_ned_eq=None))
+
+    assert with_air_noted(unknown).notes == seen.notes

@@ -126,7 +126,7 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
 def test_the_command_writes_keys_and_maps_that_a_config_uses(folders: tuple[Path, Path], tmp_path: Path) -> None:
     darks, lit = map(str, folders)
     output = tmp_path / "sensor.toml"
-    args = ["calibrate", "--darks", darks, "--flats", lit, "-o", str(output), "--bit-depth", "12", "--json"]
+    args = ["camera", "calibrate", "--darks", darks, "--flats", lit, "-o", str(output), "--bit-depth", "12", "--json"]
 
     result = CliRunner().invoke(app, args)
 
@@ -154,7 +154,7 @@ def test_the_command_writes_keys_and_maps_that_a_config_uses(folders: tuple[Path
     ],
 )
 def test_options_that_do_not_fit_are_refused(args: list[str], message: str) -> None:
-    result = CliRunner().invoke(app, ["calibrate", *args])
+    result = CliRunner().invoke(app, ["camera", "calibrate", *args])
 
     assert result.exit_code != 0
     said = " ".join(f"{result.output} {result.exception}".replace("│", " ").split())

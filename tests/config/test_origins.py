@@ -160,7 +160,7 @@ def test_the_template_is_the_default_and_overwrites_nothing(tmp_path: Path) -> N
 
 
 def test_the_rates_of_a_machine_are_measured() -> None:
-    result = RUNNER.invoke(app, ["bench", "--seconds", "0.1", "--json"])
+    result = RUNNER.invoke(app, ["doctor", "bench", "--seconds", "0.1", "--json"])
 
     assert result.exit_code == 0, result.output
     report = json.loads(result.output)

@@ -28,13 +28,13 @@ def test_every_kind_of_value_becomes_its_text_in_one_line(tmp_path: Path) -> Non
         vibration = [[60, 0.01, "roll"], [110.5, 0.02]]
         gusts = "light"
         seed = 7
-        start_utc = 2024-03-11T10:00:00Z
+        utc_start = 2024-03-11T10:00:00Z
         """,
         tmp_path,
     )
 
     described = (
-        "fly:waypoints?start_utc=2024-03-11T10:00:00%2B00:00&waypoints=-34.93,138.6,300;-34.925,138.605"
+        "fly:waypoints?utc_start=2024-03-11T10:00:00%2B00:00&waypoints=-34.93,138.6,300;-34.925,138.605"
         "&gusts=light&vibration=60,0.01,roll;110.5,0.02&seed=7"
     )
     assert config.synthetic.description == described

@@ -1,4 +1,4 @@
-"""``glstar calibrate`` recovers the sensor of exported frames."""
+"""``glstar camera calibrate`` recovers the sensor of exported frames."""
 
 import csv
 import json
@@ -61,7 +61,15 @@ def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monk
 
 def calibrated(ground: Path, output: Path, *arguments: str | Path) -> dict:
     result = run(
-        "calibrate", ground / "frames" / "frame_000000.png", "-o", output, "--exposure", "0.5", "--json", *arguments
+        "camera",
+        "calibrate",
+        ground / "frames" / "frame_000000.png",
+        "-o",
+        output,
+        "--exposure",
+        "0.5",
+        "--json",
+        *arguments,
     )
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
@@ -133,7 +141,9 @@ def test_the_twin_of_a_frame_is_like_the_frame(ground: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("other", ["--geometry-only", "--shape"])
 def test_the_twin_and_options_that_contradict_it_are_refused(ground: Path, tmp_path: Path, other: str) -> None:
-    result = run("calibrate", found_frame(ground), "-o", tmp_path / "c.toml", "--exposure", "0.5", "--twin", other)
+    result = run(
+        "camera", "calibrate", found_frame(ground), "-o", tmp_path / "c.toml", "--exposure", "0.5", "--twin", other
+    )
     assert result.exit_code != 0
     assert "--twin" in result.output + result.stderr
     assert not (tmp_path / "c.toml").exists()
@@ -144,7 +154,7 @@ def test_a_gamma_that_is_none_or_cannot_be_fitted_is_refused(
     ground: Path, tmp_path: Path, gamma: str, images: int
 ) -> None:
     frames = [found_frame(ground)] * images
-    result = run("calibrate", *frames, "-o", tmp_path / "c.toml", "--exposure", "0.5", "--gamma", gamma)
+    result = run("camera", "calibrate", *frames, "-o", tmp_path / "c.toml", "--exposure", "0.5", "--gamma", gamma)
     assert result.exit_code != 0
     assert "--gamma" in result.output + result.stderr
     assert not (tmp_path / "c.toml").exists()
@@ -205,7 +215,7 @@ def test_the_paper_s_criterion_names_one_star(ground: Path, tmp_path: Path) -> N
 def test_the_summary_names_results_and_files(ground: Path, tmp_path: Path) -> None:
     flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
     image = ground / "frames" / "frame_000000.png"
-    summary = run("calibrate", image, "-o", tmp_path / "summary.toml", "--exposure", "0.5", *flight)
+    summary = run("camera", "calibrate", image, "-o", tmp_path / "summary.toml", "--exposure", "0.5", *flight)
     assert summary.exit_code == 0
     for text in ("stars found", "identified by attitude", "expected by chance", "px rms", "sigma 1.", "report: "):
         assert text in summary.output
@@ -247,7 +257,7 @@ def test_an_image_without_stars_is_refused_with_the_number_needed(tmp_path: Path
     }[kind]
     image = photograph(tmp_path / "none.png", pixels)
     known = ["--utc", UTC, *PLACE, *ATTITUDE] if method == "attitude" else []
-    result = run("calibrate", image, "--fov", "43", "--exposure", "1", "-o", tmp_path / "none.toml", *known)
+    result = run("camera", "calibrate", image, "--fov", "43", "--exposure", "1", "-o", tmp_path / "none.toml", *known)
     assert result.exit_code == 1
     assert result.stderr.startswith("glstar: ")
     assert result.stderr.count("\n") == 1
@@ -277,9 +287,11 @@ def test_what_cannot_be_meant_gets_one_line(
     (tmp_path / "camera.toml").write_text("[camera]\nwidth_px = 100\nheight_px = 99\nfx_px = 90.0\nfy_px = 90.0\n")
     files = {"FLIGHT": ground / "still.csv", "LABELS": tmp_path / "labels.csv", "CAMERA": tmp_path / "camera.toml"}
     given = [files.get(argument, argument) for argument in arguments]
-    result = run("calibrate", ground / "frames" / "frame_000000.png", "-o", tmp_path / "no.toml", *given)
+    result = run("camera", "calibrate", ground / "frames" / "frame_000000.png", "-o", tmp_path / "no.toml", *given)
     if not arguments:
-        result = run("calibrate", ground / "frames" / "frame_000000.png", "-o", tmp_path / "no.toml", "--exposure", "1")
+        result = run(
+            "camera", "calibrate", ground / "frames" / "frame_000000.png", "-o", tmp_path / "no.toml", "--exposure", "1"
+        )
     assert result.exit_code == 1
     assert words in result.stderr
     assert result.stderr.count("\n") == 1
@@ -289,7 +301,9 @@ def test_a_wrong_field_of_view_is_refused(ground: Path, tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = ground / "frames" / "frame_000000.png"
     for known in ([], ["--utc", UTC, *PLACE, *ATTITUDE]):
-        result = run("calibrate", image, "--fov", "80", "--exposure", "0.5", "-o", tmp_path / "no.toml", *known)
+        result = run(
+            "camera", "calibrate", image, "--fov", "80", "--exposure", "0.5", "-o", tmp_path / "no.toml", *known
+        )
         assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
     assert not (tmp_path / "no.toml").exists()
 
@@ -306,7 +320,7 @@ def test_a_blurred_image_gives_camera_and_attitude_but_no_sensor(ground: Path, t
     pytest.importorskip("tetra3rs")
     given = ("--fov", "43", "--exposure", "0.5", "-o", tmp_path / "c.toml", "--json")
 
-    result = run("calibrate", shaken(ground, tmp_path, length_px), *given)
+    result = run("camera", "calibrate", shaken(ground, tmp_path, length_px), *given)
 
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
@@ -328,7 +342,7 @@ def test_geometry_alone_needs_no_exposure(ground: Path, tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = ground / "frames" / "frame_000000.png"
 
-    result = run("calibrate", image, "--fov", "43", "--geometry-only", "-o", tmp_path / "c.toml")
+    result = run("camera", "calibrate", image, "--fov", "43", "--geometry-only", "-o", tmp_path / "c.toml")
 
     assert result.exit_code == 0, result.output
     assert "the optical axis points at right ascension" in result.stdout
@@ -336,7 +350,7 @@ def test_geometry_alone_needs_no_exposure(ground: Path, tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "c.png")).shape[1] == 1650
     with (tmp_path / "c.stars.csv").open(encoding="utf-8", newline="") as file:
         assert len(list(csv.DictReader(file))) > 300
-    several = run("calibrate", image, image, "--fov", "43", "--geometry-only", "-o", tmp_path / "d.toml")
+    several = run("camera", "calibrate", image, image, "--fov", "43", "--geometry-only", "-o", tmp_path / "d.toml")
     assert (several.exit_code, several.stderr.count("\n")) == (1, 1)
     assert "--geometry-only of several images needs --fit-lens" in several.stderr
 
@@ -347,7 +361,7 @@ def test_a_photograph_without_time_and_site_shows_its_zenith(ground: Path, tmp_p
     (tmp_path / "low.csv").write_text(still.replace(",-4,3,70,", ",-4,65,70,"), encoding="utf-8")
     frames = ("export", tmp_path / "low.csv", "-o", tmp_path / "frames", "-c", ground / "camera.toml", "--frames", "1")
     assert run(*frames, "--start", "5", "--exposure", "0.5").exit_code == 0
-    words = ("calibrate", tmp_path / "frames/frame_000000.png", "--fov", "43", "--geometry-only", "--json")
+    words = ("camera", "calibrate", tmp_path / "frames/frame_000000.png", "--fov", "43", "--geometry-only", "--json")
 
     result = run(*words, "-o", tmp_path / "low.toml")
 
@@ -366,7 +380,7 @@ def test_a_photograph_without_time_and_site_shows_its_zenith(ground: Path, tmp_p
 def test_an_all_sky_camera_is_never_fitted_as_a_pinhole(tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = photograph(tmp_path / "allsky.png", all_sky().image.pixels_dn)
-    given = ("calibrate", image, "--fov", "140", "--exposure", "30", "-o", tmp_path / "sky.toml")
+    given = ("camera", "calibrate", image, "--fov", "140", "--exposure", "30", "-o", tmp_path / "sky.toml")
 
     refused = run(*given, "--lens", "none")
     assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1), refused.output
@@ -388,7 +402,7 @@ def test_a_camera_in_portrait_orientation_matches_the_rotated_config(ground: Pat
     frame = cv2.imread(str(ground / "frames" / "frame_000000.png"), cv2.IMREAD_UNCHANGED)
     upright = photograph(tmp_path / "upright.png", cv2.rotate(frame, cv2.ROTATE_90_CLOCKWISE))
     known = ("--utc", UTC, *PLACE, *ATTITUDE, "-c", ground / "camera.toml", "--exposure", "0.5")
-    result = run("calibrate", upright, "-o", tmp_path / "found.toml", "--json", *known)
+    result = run("camera", "calibrate", upright, "-o", tmp_path / "found.toml", "--json", *known)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert any("turned by" in note for note in found["notes"])
@@ -401,7 +415,7 @@ def test_several_images_are_identified_by_the_flight_s_attitudes(ground: Path, t
     for image in images:
         image.write_bytes(frame)
     result = run(
-        *("calibrate", *images, "-c", ground / "camera.toml", "--exposure", "0.5", "-o", tmp_path / "c.toml"),
+        *("camera", "calibrate", *images, "-c", ground / "camera.toml", "--exposure", "0.5", "-o", tmp_path / "c.toml"),
         *("--flight", ground / "still.csv", "--utc", UTC, "--utc", UTC, "--extinction", "0.2"),
     )
     assert result.exit_code == 0, result.output

@@ -1,4 +1,4 @@
-"""``glstar calibrate`` on frames of a rolling shutter that a turning aircraft took."""
+"""``glstar camera calibrate`` on frames of a rolling shutter that a turning aircraft took."""
 
 import json
 from pathlib import Path
@@ -59,7 +59,7 @@ def calibrated(
     times = [part for frame in truth for part in ("--utc", frame["utc_mid"])]
     several = ("--fit-lens",) if len(truth) > 1 else ()
     where = ("-c", config, "--flight", FLIGHT, "-o", directory / "found.toml")
-    return run("calibrate", *images, *times, *where, "--geometry-only", *several, "--json", *options)
+    return run("camera", "calibrate", *images, *times, *where, "--geometry-only", *several, "--json", *options)
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +126,6 @@ def test_too_little_turn_is_refused_with_its_rate(tmp_path: Path) -> None:
 
 
 def test_a_readout_time_without_a_flight_is_refused(tmp_path: Path) -> None:
-    done = run("calibrate", tmp_path / "none.png", "--fov", "60", "--fit-readout", "--geometry-only")
+    done = run("camera", "calibrate", tmp_path / "none.png", "--fov", "60", "--fit-readout", "--geometry-only")
     assert done.exit_code == 1
     assert "--fit-readout needs --flight and --utc" in done.stderr

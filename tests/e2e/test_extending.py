@@ -163,7 +163,7 @@ def test_the_overlay_is_drawn_in_the_window(checkout: Path) -> None:
     pictures = []
     for show in ("zenith", "nothing"):
         picture = str(checkout / f"{show}.png")
-        view = ["view", "--headless", "--at", "5", "--show", show, "--screenshot", picture, "--exit"]
+        view = ["view", "--headless", "--start", "5", "--show", show, "--screenshot", picture, "--exit"]
         python(checkout, "-m", "glstar", *view)
         pictures.append(cv2.imread(picture).astype(int))
 

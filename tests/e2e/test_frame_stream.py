@@ -89,14 +89,14 @@ def test_answers_of_the_command_line_arrive() -> None:
     port = free_port()
     receiver = AnswerReceiver(f"zmq://{port}")
     flags = ["--frame", "7", "--lat", "-34.9", "--lon", "138.6", "--sigma-km", "2", "--instant", "end"]
-    result = CliRunner().invoke(app, ["answer", f"zmq://127.0.0.1:{port}", *flags])
+    result = CliRunner().invoke(app, ["live", "answer", f"zmq://127.0.0.1:{port}", *flags])
     assert result.exit_code == 0, result.output
     (line,) = receiver.lines(5.0)
     answer = json.loads(line)
     assert (answer["frame"], answer["latitude_deg"], answer["instant"]) == (7, -34.9, "end")
     assert answer["ellipse_confidence"] == pytest.approx(0.3934693, rel=0, abs=1e-7)
     piped = CliRunner().invoke(
-        app, ["answer", f"zmq://127.0.0.1:{port}"], input='{"frame": 1, "status": "refused"}\n\n'
+        app, ["live", "answer", f"zmq://127.0.0.1:{port}"], input='{"frame": 1, "status": "refused"}\n\n'
     )
     assert piped.exit_code == 0, piped.output
     assert receiver.lines(5.0) == ['{"frame": 1, "status": "refused"}']

@@ -16,7 +16,7 @@ NIGHT, DAY = "2024-03-18T14:00:00Z", "2024-03-18T04:00:00Z"
 def notes(tmp_path: Path, utc: str, *, pitch_deg: float) -> str:
     config = tmp_path / "config.toml"
     config.write_text(f"[mount]\nyaw_deg = 0.0\npitch_deg = {pitch_deg}\n", encoding="utf-8")
-    flight = f"fly:still?start_utc={utc}&duration_s=5"
+    flight = f"fly:still?utc_start={utc}&duration_s=5"
     result = CliRunner().invoke(app, ["export", flight, "-c", str(config), "-o", str(tmp_path / "frames"), "--dry-run"])
     assert result.exit_code == 0, result.output
     return result.stderr
@@ -38,7 +38,7 @@ def test_frames_of_a_night_sky_have_no_note(tmp_path: Path, pitch_deg: float) ->
 def test_an_export_of_a_natural_sky_notes_light_moon_and_limit(tmp_path: Path) -> None:
     config = tmp_path / "config.toml"
     config.write_text('[sky]\nbrightness = "natural"\n[mount]\npitch_deg = 60.0\n', encoding="utf-8")
-    flight = "fly:still?latitude_deg=-34.93&longitude_deg=138.60&start_utc=2024-03-18T12:00:00Z&duration_s=5"
+    flight = "fly:still?latitude_deg=-34.93&longitude_deg=138.60&utc_start=2024-03-18T12:00:00Z&duration_s=5"
     result = CliRunner().invoke(app, ["export", flight, "-c", str(config), "-o", str(tmp_path / "a"), "--dry-run"])
     assert result.exit_code == 0, result.output
     # The Moon of 2024-03-18 is 62 % lit and above the north-west of Adelaide, by any almanac.
@@ -55,7 +55,7 @@ def test_info_says_where_the_camera_points_and_what_cloud_transmits(
     config = tmp_path / "config.toml"
     lines = f"[mount]\nyaw_deg = 0.0\npitch_deg = {pitch_deg}\n[cloud]\ncoverage = 1.0\noptical_depth = 1.0\n"
     config.write_text(lines, encoding="utf-8")
-    flight = f"fly:still?start_utc={NIGHT}&duration_s=5"
+    flight = f"fly:still?utc_start={NIGHT}&duration_s=5"
     text = CliRunner().invoke(app, ["info", flight, "-c", str(config)])
     assert text.exit_code == 0, text.output
     assert ("view" in text.stdout) == bool(said)

@@ -445,7 +445,7 @@ def test_a_log_given_as_a_link_is_refused(tmp_path: Path) -> None:
 
 
 def test_replay_link_plays_to_the_end_and_reports_its_duration(tmp_path: Path) -> None:
-    words = f"replay-link {asset('adelaide.BIN')} udpout:127.0.0.1:{free_port()} --speed 200 --start 34.5 --rate 20"
+    words = f"live replay {asset('adelaide.BIN')} udpout:127.0.0.1:{free_port()} --speed 200 --start 34.5 --rate 20"
     result = CliRunner().invoke(app, words.split())
 
     assert result.exit_code == 0, result.output

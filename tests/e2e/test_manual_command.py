@@ -44,11 +44,51 @@ def test_a_misspelt_topic_prints_the_closest_one():
     printed = manual("tutorail")
 
     assert printed.exit_code == 1
-    assert "the manual has no page 'tutorail' (did you mean tutorial?)" in printed.output
+    assert "the manual has no page 'tutorail' and no line with it (did you mean tutorial?)" in printed.output
 
 
 def test_an_unknown_topic_prints_the_list():
     assert "(the pages are accuracy, " in manual("xyzzy").output
+
+
+def test_a_word_is_found_on_all_pages_the_richest_first():
+    printed = manual("yolo").output
+
+    topics = re.findall(r"^([a-z]+): (\d+)$", printed, re.MULTILINE)
+    counts = [int(count) for _, count in topics]
+    assert [topic for topic, _ in topics][:2] == ["learning", "export"]
+    assert counts == sorted(counts, reverse=True)
+    assert "## A training set for YOLO" in printed
+    assert max(map(len, printed.splitlines())) <= 80
+
+
+def test_blank_words_print_the_list():
+    assert manual(" ").output == manual().output
+
+
+def test_several_words_are_found_in_one_line_and_name_a_page():
+    assert re.search(r"^problems: \d+$", manual("killed", "export").output, re.MULTILINE)
+    assert "no line with it" in manual("killed", "xyzzy").output
+    assert manual("rolling", "shutter").output == manual("rolling-shutter").output
+
+
+def test_a_word_is_found_inside_a_long_line():
+    assert re.search(r"^ +\d+  .*WebDataset", manual("webdataset").output, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("question", "topic", "answer"),
+    [
+        ("mount", "mounts", "forward-up-30"),
+        ("day log", "problems", "--utc-start"),
+        ("figures comparison", "problems", "centroid distance"),
+        ("killed", "problems", "glstar export --recover DIR"),
+        ("yolo", "learning", "--to yolo"),
+    ],
+)
+def test_a_question_leads_to_its_answer_in_two_steps(question, topic, answer):
+    assert f"\n{topic}: " in "\n" + manual(question).output
+    assert answer in manual(topic).output
 
 
 def test_each_page_begins_with_a_title_and_a_sentence_for_the_list():

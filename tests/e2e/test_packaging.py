@@ -237,7 +237,7 @@ def test_an_installed_glstar_draws_the_bundled_flight(installed: SimpleNamespace
 
 
 def test_an_installed_glstar_does_not_overwrite_its_own_catalogue(installed: SimpleNamespace) -> None:
-    child = ended(installed.glstar, "catalogue", "build", "bsc5", cwd=installed.elsewhere)
+    child = ended(installed.glstar, "sky", "catalogue", "build", "bsc5", cwd=installed.elsewhere)
 
     assert child.returncode == 1
     assert "is part of the installation" in child.stderr

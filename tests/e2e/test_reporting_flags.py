@@ -162,7 +162,7 @@ def test_the_ports_are_a_list() -> None:
 def test_replay_link_reports_what_it_sent(tmp_path: Path) -> None:
     reported("fly", "hover", "--duration-s", 4, "-o", tmp_path / "hover.csv")
 
-    facts = reported("replay-link", tmp_path / "hover.csv", "udpout:127.0.0.1:14999", "--speed", 20)
+    facts = reported("live", "replay", tmp_path / "hover.csv", "udpout:127.0.0.1:14999", "--speed", 20)
 
     assert facts["duration_s"] == pytest.approx(4.0, rel=0, abs=0.5)
     assert facts["packets"] > 0

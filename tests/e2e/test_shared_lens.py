@@ -1,4 +1,4 @@
-"""``glstar calibrate --fit-lens``: recovers the lens that exported frames of one camera share."""
+"""``glstar camera calibrate --fit-lens``: recovers the lens that exported frames of one camera share."""
 
 import json
 from pathlib import Path
@@ -75,7 +75,7 @@ def test_four_rendered_images_give_one_lens_with_smaller_errors(frames, tmp_path
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path.parent / "cache"))
 
     result = run(
-        *("calibrate", *frames, "--fov", "43", "--exposure", "0.5", "-o", tmp_path / "c.toml", *SITE),
+        *("camera", "calibrate", *frames, "--fov", "43", "--exposure", "0.5", "-o", tmp_path / "c.toml", *SITE),
         *("--fit-lens", "--lens", "plumb_bob", "--camera-out", tmp_path / "camera.yaml", "--json"),
     )
 
@@ -101,7 +101,9 @@ def test_four_rendered_images_give_one_lens_with_smaller_errors(frames, tmp_path
 
 
 def test_a_single_image_has_no_lens_to_share(frames, tmp_path) -> None:
-    result = run("calibrate", frames[0], "--fov", "43", "--exposure", "0.5", "--fit-lens", "-o", tmp_path / "c.toml")
+    result = run(
+        "camera", "calibrate", frames[0], "--fov", "43", "--exposure", "0.5", "--fit-lens", "-o", tmp_path / "c.toml"
+    )
 
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1

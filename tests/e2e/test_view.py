@@ -60,7 +60,7 @@ def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> st
 def test_a_window_opens_responds_to_keys_and_closes(tmp_path, xvfb):
     display = xvfb()
     press = partial(press_keys, environment(display, tmp_path))
-    with started("view", "--at", "20", display=display, home=tmp_path) as window:
+    with started("view", "--start", "20", display=display, home=tmp_path) as window:
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or soon((saved / "screenshot.png").exists, 1.0), "a screenshot")
         day = cv2.imread(str(saved / "screenshot.png"))
@@ -94,7 +94,18 @@ def test_a_window_opens_responds_to_keys_and_closes(tmp_path, xvfb):
 @needs_xvfb
 def test_a_script_plays_in_a_window_and_writes_its_statistics(tmp_path, xvfb):
     stats, shot = tmp_path / "stats.json", tmp_path / "shot.png"
-    flags = ["--at", "20", "--sliding", "--play", "3", "--stats", str(stats), "--screenshot", str(shot), "--exit"]
+    flags = [
+        "--start",
+        "20",
+        "--sliding",
+        "--duration",
+        "3",
+        "--stats",
+        str(stats),
+        "--screenshot",
+        str(shot),
+        "--exit",
+    ]
     flags += ["--size", "1000x700"]
     subprocess.run(
         [*GLSTAR, "view", *flags, "--size", "1000x700"],
@@ -157,7 +168,7 @@ def test_without_a_display_a_script_draws_headless(tmp_path):
     for name, more in (("raw", []), ("processed", ["-c", str(settings)])):
         shot = tmp_path / f"{name}.png"
         done = subprocess.run(
-            [*GLSTAR, "view", "--headless", "--at", "20", "--processed", "--screenshot", str(shot), "--exit", *more],
+            [*GLSTAR, "view", "--headless", "--start", "20", "--processed", "--screenshot", str(shot), "--exit", *more],
             env=environment(None, tmp_path),
             check=True,
             timeout=PATIENCE_S,
@@ -188,7 +199,7 @@ def test_an_opengl_that_is_too_old_is_reported_in_one_line(tmp_path, xvfb):
 def test_statistics_that_cannot_be_written_are_reported_in_one_line(tmp_path):
     file = tmp_path / "file"
     file.write_bytes(b"")
-    line = refused(tmp_path, None, "--headless", "--play", "0.1", "--stats", str(file / "figures.json"))
+    line = refused(tmp_path, None, "--headless", "--duration", "0.1", "--stats", str(file / "figures.json"))
     assert f"{file}: is no directory" in line
 
 
@@ -204,7 +215,7 @@ def test_a_flight_that_cannot_be_read_is_reported_in_one_line(tmp_path):
     ("flags", "words"),
     [
         (["--size", "big"], "1280x800"),
-        (["--stats", "s.json"], "--play"),
+        (["--stats", "s.json"], "--duration"),
         (["--headless"], "window"),
         (["--show", "clouds"], "clouds"),
     ],

@@ -37,7 +37,7 @@ def test_keys_record_videos_set_the_range_save_and_copy_pictures(
     program.chmod(stat.S_IRWXU)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     press = partial(press_keys, environment(display, tmp_path))
-    with started("view", "--at", "20", display=display, home=tmp_path) as window:
+    with started("view", "--start", "20", display=display, home=tmp_path) as window:
         saved = tmp_path / "glstar-saved"
         until(lambda: press("shift+s") or soon((saved / "adelaide-picture.png").exists, 1.0), "a picture")
         picture = cv2.imread(str(saved / "adelaide-picture.png"))

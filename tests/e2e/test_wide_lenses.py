@@ -1,4 +1,4 @@
-"""``glstar calibrate`` recovers the camera of frames exported with wide lenses, by pattern only."""
+"""``glstar camera calibrate`` recovers the camera of frames exported with wide lenses, by pattern only."""
 
 import csv
 import json
@@ -69,7 +69,16 @@ def test_the_camera_of_a_wide_lens_is_recovered_to_the_corners(tmp_path, monkeyp
     image, truth = exported(tmp_path, hidden)
 
     result = run(
-        *("calibrate", image, "--fov", f"{1.06 * left_to_right_deg(hidden):.0f}", "--exposure", "0.5", *SEEN_FROM),
+        *(
+            "camera",
+            "calibrate",
+            image,
+            "--fov",
+            f"{1.06 * left_to_right_deg(hidden):.0f}",
+            "--exposure",
+            "0.5",
+            *SEEN_FROM,
+        ),
         *("--lens", model, "-o", tmp_path / "calibration.toml", "--camera-out", tmp_path / "camera.yaml", "--json"),
     )
 

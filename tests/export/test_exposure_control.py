@@ -35,10 +35,10 @@ SKY = {
     "navigator.clock_offset_s": 0.01,
 }
 # After sunset, the Sun from -5 to -15 deg: the sky becomes 3000 times darker.
-DUSK = SKY | {"flight.synthetic.start_utc": "2024-03-10T09:31:00Z", "flight.synthetic.duration_s": 3000}
+DUSK = SKY | {"flight.synthetic.utc_start": "2024-03-10T09:31:00Z", "flight.synthetic.duration_s": 3000}
 # In astronomical night, the Moon from -3 to 9 deg.
 MOONRISE = SKY | {
-    "flight.synthetic.start_utc": "2024-03-29T10:20:00Z",
+    "flight.synthetic.utc_start": "2024-03-29T10:20:00Z",
     "flight.synthetic.duration_s": 4200,
     "exposure.duration_s": 2.0,
     "exposure.interval_s": 60.0,
@@ -235,7 +235,7 @@ def test_a_control_that_cannot_work_is_refused(settings: str, words: str, tmp_pa
 
 def test_a_start_without_quotes_is_exported(tmp_path: Path) -> None:
     (tmp_path / "night.toml").write_text(
-        "[flight.synthetic]\npath = 'still'\nduration_s = 2\nstart_utc = 2024-03-10T09:25:00Z\n", encoding="utf-8"
+        "[flight.synthetic]\npath = 'still'\nduration_s = 2\nutc_start = 2024-03-10T09:25:00Z\n", encoding="utf-8"
     )
 
     done("export", "-c", tmp_path / "night.toml", "-o", tmp_path / "set", "--frames", 1)

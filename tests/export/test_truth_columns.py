@@ -19,7 +19,7 @@ from tests.support.satellites import PASS, elements
 FLIGHT = """\
 [flight.synthetic]
 path = "hover"
-start_utc = "2024-03-18T10:37:20Z"
+utc_start = "2024-03-18T10:37:20Z"
 latitude_deg = -34.93
 longitude_deg = 138.6
 duration_s = 40.0

@@ -157,7 +157,7 @@ def test_an_export_writes_the_mask_of_the_ground(tmp_path):
         '[sky]\nhorizon = "hill.csv"\n[mount]\nyaw_deg = 0.0\npitch_deg = 20.0\n', encoding="utf-8"
     )
     flight = (
-        "fly:still?latitude_deg=-34.93&longitude_deg=138.60&heading_deg=325&start_utc=2024-03-18T12:00:00Z&duration_s=5"
+        "fly:still?latitude_deg=-34.93&longitude_deg=138.60&heading_deg=325&utc_start=2024-03-18T12:00:00Z&duration_s=5"
     )
     arguments = [
         "export",

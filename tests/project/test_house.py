@@ -25,7 +25,7 @@ MAX_LAYERS = 9
 MAX_LINES = {"file": 400, "class": 300, "function": 60}
 MAX_SHADER_LINES = 500
 # The whole package, packages included, and import lines for each line of other code.
-MAX_ALL_MODULES = 350
+MAX_ALL_MODULES = 375
 
 
 # Nodes that contain statements.

@@ -32,7 +32,7 @@ MAY_LOAD = {
     "images": {"cv2"},
     "render.opengl": {"moderngl"},
     "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
-    # What `glstar calibrate` and the window import when they are called.
+    # What `glstar camera calibrate` and the window import when they are called.
     "cli.calibration.output": {"cv2", "scipy"},
     "cli.calibration.photo": {"cv2", "scipy"},
 }

@@ -68,9 +68,9 @@ def test_day_and_ground_are_warned_of() -> None:
     assert viewing_conditions(scene_at("2024-03-10T11:00:00Z")).warning == ""
     # The camera of the default mount points up: rolled by 100 deg it points 10 deg below the horizon.
     tilted = viewing_conditions(scene_at("2024-03-10T11:00:00Z", roll_rad=np.deg2rad(100)))
-    assert tilted.warning == "the camera points at the ground, 10 deg below the horizon"
+    assert tilted.warning == "the camera points at the ground, 10 deg below the horizon (zenith mount)"
     over = viewing_conditions(scene_at("2024-03-10T11:00:00Z", roll_rad=np.pi))
-    assert over.warning == "the camera sees only the ground: [mount] says how it is mounted"
+    assert over.warning == "the camera sees only the ground (zenith mount): [mount] says how it is mounted"
 
 
 def test_a_scene_without_a_sky_is_refused() -> None:

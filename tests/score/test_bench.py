@@ -257,7 +257,7 @@ def test_a_solver_that_fails_has_refused_what_it_did_not_answer(tiny, tmp_path):
     ],
 )
 def test_a_solver_without_a_valid_answer_has_refused_all_and_the_reason_is_stated(text, reason, tiny, tmp_path):
-    done = invoked("run", solver(tmp_path, text), tiny.directory, "-o", tmp_path / "out", "--timeout-s", 1)
+    done = invoked("run", solver(tmp_path, text), tiny.directory, "-o", tmp_path / "out", "--timeout", 1)
 
     result = read_result(tmp_path / "out")
     assert done.exit_code == 1
@@ -269,14 +269,14 @@ def test_what_is_no_set_no_solver_and_no_result_gets_one_clear_line(tiny, tmp_pa
     no_set = invoked("run", "true", tmp_path, "-o", tmp_path / "out")
     no_solver = invoked("run", "no-such-solver --fast", tiny.directory, "-o", tmp_path / "out")
     no_result = invoked("table", tmp_path / "nothing")
-    no_size = invoked("make", "static", "-o", tmp_path / "static", "--size", "huge")
+    no_size = invoked("make", "statik", "-o", tmp_path / "static")
 
     assert "holds no set.json: make a set with glstar bench make" in no_set.stderr
     assert "no-such-solver: is no program" in no_solver.stderr
     assert "is no result of glstar bench run" in no_result.stderr
-    assert "huge is no size" in no_size.stderr
+    assert "there is no set statik (did you mean static?)" in no_size.stderr
     assert not (tmp_path / "out").exists()
-    assert [one.exit_code for one in (no_set, no_solver, no_result, no_size)] == [1, 1, 1, 2]
+    assert [one.exit_code for one in (no_set, no_solver, no_result, no_size)] == [1, 1, 1, 1]
 
 
 def test_results_on_other_pixels_are_not_compared(tiny, tmp_path):

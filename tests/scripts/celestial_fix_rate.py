@@ -19,7 +19,7 @@ from tests.examples import celestial_fix
 SWEEP = """
 [sweep]
 draws = {frames}
-flight.synthetic.start_utc = { min = 2024-01-01T00:00:00Z, max = 2025-01-01T00:00:00Z }
+flight.synthetic.utc_start = { min = 2024-01-01T00:00:00Z, max = 2025-01-01T00:00:00Z }
 flight.synthetic.latitude_deg = { min = -70, max = 70 }
 flight.synthetic.longitude_deg = { min = -180, max = 180 }
 flight.synthetic.heading_deg = { min = 0, max = 360 }

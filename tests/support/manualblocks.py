@@ -99,8 +99,9 @@ def check_options(words: list[str], where: str) -> None:
     command: Any = get_command(app)
     rest = list(words)
     while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
-        assert rest[0] in command.commands, f"{where}: glstar has no command {rest[0]}"
-        command = command.commands[rest.pop(0)]
+        name = " ".join(rest[:2]) if " ".join(rest[:2]) in command.commands else rest[0]
+        assert name in command.commands, f"{where}: glstar has no command {name}"
+        command, rest = command.commands[name], rest[len(name.split()) :]
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
     known |= {"-h", "--help"}
     for word in rest:

@@ -1,6 +1,6 @@
 """Photographs of the stars drawn with NumPy and OpenCV only, without glstar's own cameras.
 
-Catalogue stars go through `cv2.projectPoints` or through r = f theta, so that `glstar calibrate` is compared
+Catalogue stars go through `cv2.projectPoints` or through r = f theta, so that `glstar camera calibrate` is compared
 with independent code.
 """
 
@@ -298,7 +298,7 @@ def focal_px(photo: PlainPhoto) -> float:
 
 
 def pinhole_camera(photo: PlainPhoto, fov_deg: float) -> Camera:
-    """Return the initial camera of `glstar calibrate --fov`."""
+    """Return the initial camera of `glstar camera calibrate --fov`."""
     height, width = photo.image.pixels_dn.shape
     f_px = float(width / 2 / np.tan(np.deg2rad(fov_deg) / 2))
     return Camera(width, height, f_px, f_px, (width - 1) / 2, (height - 1) / 2)

@@ -111,7 +111,7 @@ def test_an_image_too_large_is_refused_before_it_is_decoded(
 @pytest.mark.parametrize(
     "command",
     [
-        ("calibrate", "IMAGE", "--fov", "60", "--exposure", "1", "-o", "OUT.toml"),
+        ("camera", "calibrate", "IMAGE", "--fov", "60", "--exposure", "1", "-o", "OUT.toml"),
         ("camera", "rectify", "IMAGE", "-c", "CAMERA", "-o", "OUT.png"),
     ],
     ids=["calibrate", "rectify"],

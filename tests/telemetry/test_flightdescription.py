@@ -17,7 +17,7 @@ GUSTY = "fly:orbit?radius_m=300&turns=0.2&wind_m_per_s=8&gusts=light&seed=3"
 
 def test_every_key_of_a_description_reaches_the_flight() -> None:
     described = parse_description(
-        "fly:transit?latitude_deg=52&longitude_deg=4.5&height_m=120&start_utc=2024-01-02T22:00:00Z&duration_s=5"
+        "fly:transit?latitude_deg=52&longitude_deg=4.5&height_m=120&utc_start=2024-01-02T22:00:00Z&duration_s=5"
         "&airspeed_m_per_s=30&direction=left&guidance=attitude&heading_deg=45&pitch_deg=2&roll_deg=1&climb_deg=3"
         "&yaw_rate_deg_per_s=4&wind_m_per_s=8&wind_from_deg=90&gusts=moderate&height_above_ground_m=80&span_m=1.5"
         "&natural_frequency_hz=4&damping=0.5&vibration=110,0.01,roll;220,0.005&rate_hz=100&seed=7"

@@ -75,7 +75,7 @@ def test_the_window_draws_the_autopilots_estimate_and_an_answer_of_the_command_l
     assert estimate.offset_km[0] == pytest.approx(north_km(TRUE_DEG[0], ESTIMATED_DEG[0] - TRUE_DEG[0]), rel=2e-3)
 
     with ShownAnswers(f"zmq://127.0.0.1:{port}", session.config, session.navigator.add, messages.append):
-        words = ["answer", f"zmq://127.0.0.1:{port}", "--utc", format_utc(session.scene.exposure.mid_utc_s)]
+        words = ["live", "answer", f"zmq://127.0.0.1:{port}", "--utc", format_utc(session.scene.exposure.mid_utc_s)]
         words += ["--lat", str(TRUE_DEG[0] + NORTH_DEG), "--lon", str(TRUE_DEG[1]), "--sigma-km", "30"]
         sent = CliRunner().invoke(app, words)
         assert sent.exit_code == 0, sent.output

@@ -180,6 +180,10 @@ def robust_fit(
 # A fit needs stars whose air masses differ by this much, between the 5th and the 95th percentile, and this many stars.
 _LEAST_AIR_SPAN = 0.5
 _LEAST_AIR_STARS = 20
+# Notes on effects that the air may cause: it dims one side of the image more than the other.
+_LIKE_AIR = frozenset({NoteKind.VIGNETTING, NoteKind.BRIGHT_CORNERS})
+# Extinctions per air mass that an atmosphere can have, mag, and the ratio of one to its error that is no chance.
+_LEAST_EXTINCTION_MAG, _LARGEST_EXTINCTION_MAG, _SIGNIFICANT = 0.05, 1.5, 4.0
 # A term besides the extinction needs this many stars.
 _STARS_PER_AIR_TERM = 10
 
@@ -249,6 +253,35 @@ def above_air_together(parts: Sequence[Calibration], zenith_mag: float | None = 
         _taken_out(part, k * mass, is_used, *offset, air)
         for part, mass, is_used, offset in zip(parts, masses, used, offsets, strict=True)
     )
+
+
+def with_air_noted(calibration: Calibration) -> Calibration:
+    """Return a calibration whose notes name the extinction of the air, if it explains what stars lose in the corners.
+
+    The altitudes of the stars must be known; else, or if the stars do not show the extinction, the notes stay as they
+    are.  The reference brightness stays that below the air.
+    """
+    before = calibration.misfit.notes(calibration.sensor, linear=calibration.brightness.linear)
+    if calibration.reference.C_ned_eq is None or not any(note.kind in _LIKE_AIR for note in before):
+        return calibration
+    try:
+        free = above_air(calibration)
+    except CalibrationError:
+        return calibration
+    term = free.air or {}
+    k, error, (lowest, highest) = (term[key] for key in ("zenith_extinction_mag", "standard_error_mag", "air_mass"))
+    if not _LEAST_EXTINCTION_MAG < k < _LARGEST_EXTINCTION_MAG or k < _SIGNIFICANT * error:
+        return calibration
+    after = free.misfit.notes(free.sensor, linear=free.brightness.linear)
+    remains = [note for note in after if note.kind in _LIKE_AIR]
+    besides = "" if remains else ": the corners are as bright as the centre without it"
+    air = Note(
+        NoteKind.VIGNETTING,
+        f"the air dims the stars by {k:.3f} ± {error:.3f} mag per air mass ({term['stars']} stars, air masses"
+        f" {lowest:.2f} to {highest:.2f}){besides}. reference_peak_dn is that below it; --extinction fit takes it out",
+    )
+    kept = [note for note in calibration.notes if note not in before or note.kind not in _LIKE_AIR]
+    return replace(calibration, notes=(air, *kept, *remains))
 
 
 def _air_offset(part: Calibration, lost_mag: Float, used: NDArray[np.bool_]) -> tuple[float, float]:

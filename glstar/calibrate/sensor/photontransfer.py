@@ -86,7 +86,7 @@ class PhotonTransfer:
         """Return the maps and the TOML file that refers to them, by file name; `name`: without suffix."""
         maps = self._maps(name)
         keys = self.keys | {key: file for key, (file, _) in maps.items()}
-        lines = ["# From dark frames and flat fields by glstar calibrate.", "[sensor]"]
+        lines = ["# From dark frames and flat fields by glstar camera calibrate.", "[sensor]"]
         lines += [f"{key} = {toml_value(value)}" for key, value in keys.items()]
         images = {file: encoded_image(Path(file).suffix, pixels) for file, pixels in maps.values()}
         return images | {f"{name}.toml": ("\n".join(lines) + "\n").encode()}

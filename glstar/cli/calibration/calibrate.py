@@ -1,4 +1,4 @@
-"""``glstar calibrate``: the simulator's sensor and camera from photographs of the stars."""
+"""``glstar camera calibrate``: the simulator's sensor and camera from photographs of the stars."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -148,7 +148,7 @@ def calibrate(
 
     Stars are identified by attitude, labels or pattern.  Several images also measure the magnitude of each star.
 
-    Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
+    Try: glstar camera calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
     """
     if _calibrated_from_darks(images, darks, flats, output, bit_depth, as_json=as_json):
         return

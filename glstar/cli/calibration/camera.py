@@ -1,4 +1,4 @@
-"""``glstar camera``: calibrate cameras with boards, show camera files, rectify images."""
+"""``glstar camera``: calibrate cameras with stars or boards, show camera files and presets, rectify images."""
 
 import json
 import re
@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings, read_camera_file
 from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
+from glstar.cli.calibration.calibrate import calibrate
 from glstar.cli.flightoptions import sensor_names
 from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
+from glstar.cli.tables import print_table
 from glstar.errors import CalibrationError, reading
 from glstar.system.files import write_atomically
 from glstar.system.userinput import read_whole
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
     from glstar.calibrate.geometry.boards import CharucoBoard, Chessboard
 
 
-app = typer.Typer(help="Calibrate cameras with boards, show camera files, rectify images.", no_args_is_help=True)
+app = typer.Typer(
+    help="Calibrate camera and sensor from photographs of the stars or of boards; camera files, presets.",
+    no_args_is_help=True,
+)
+app.command()(calibrate)
 
 
 class _Lens(StrEnum):
@@ -145,7 +150,8 @@ def presets(
         lowest = np.hypot(
             number["read_noise_before_gain_e"], number["read_noise_after_gain_e"] / number["analogue_gain_max"]
         )
-        modes = ", ".join(mode.name.partition(":")[2] for mode in preset.modes) or "any size"
+        # A mode is what one has to type: each is on a line of its own.
+        modes = "\n".join(mode.name.partition(":")[2] for mode in preset.modes) or "any size"
         cells = (
             f"{number['pixel_um']:g}",
             f"{number['full_well_e']:.0f}",
@@ -153,9 +159,10 @@ def presets(
             preset.band or "v",
         )
         sensors.add_row(preset.name, preset.description, modes, *cells)
-    console = Console()
-    console.print(cameras, sensors)
-    typer.echo("glstar export FLIGHT -o DIR --camera imx477:2028x1520 --lens-mm 6 --f-number 1.2 --gain 16")
+    print_table(cameras)
+    typer.echo()
+    print_table(sensors)
+    typer.echo("glstar export FLIGHT -o DIR --camera imx477:2028x1520 --lens-mm 6 --f-number 1.2")
 
 
 def _show_sensor(preset: SensorPreset) -> None:
@@ -167,10 +174,9 @@ def _show_sensor(preset: SensorPreset) -> None:
     for mode in preset.modes:
         binning = f"{mode.binning} x {mode.binning}"
         modes.add_row(mode.name, binning, str(mode.bit_depth), f"{1000 * mode.readout_s:.2f}", mode.source)
-    console = Console()
-    console.print(numbers)
+    print_table(numbers)
     if preset.modes:
-        console.print(modes)
+        print_table(modes)
     if preset.band is None:
         typer.echo("glstar does not have its filters: stars have their V magnitudes")
     else:
@@ -267,7 +273,7 @@ def _from_boards(
     for view in fit.views:
         error = f"not used: {view.refused}" if view.rms_px is None else f"{view.rms_px:.3f}"
         table.add_row(view.path.name, str(view.corners), error)
-    Console().print(table)
+    print_table(table)
     for line in _description(fit.camera):
         typer.echo(line)
     typer.echo(f"standard errors: {errors}")

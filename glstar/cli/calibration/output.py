@@ -1,4 +1,4 @@
-"""Files and messages of ``glstar calibrate``, which writes and prints what `glstar.calibrate` measures."""
+"""Files and messages of ``glstar camera calibrate``, which writes and prints what `glstar.calibrate` measures."""
 
 import json
 from collections.abc import Callable, Collection, Iterator

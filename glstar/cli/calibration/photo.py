@@ -1,4 +1,4 @@
-"""The calibration that the window offers: what ``glstar calibrate`` does with one photograph."""
+"""The calibration that the window offers: what ``glstar camera calibrate`` does with one photograph."""
 
 from pathlib import Path
 

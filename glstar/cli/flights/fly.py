@@ -7,6 +7,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
+from glstar.cli.reporting import echo_note
 from glstar.errors import ConfigError
 from glstar.flight.synthetic.syntheticflight import FlightPath
 from glstar.system.files import write_atomically
@@ -56,11 +57,14 @@ def fly(
 ) -> None:
     """Write a flight without a log: an orbit, a transit, waypoints, a hover or a spin, in wind and gusts.
 
+    This command goes with the next release: glstar convert 'fly:orbit?radius_m=300' -o orbit.csv writes the same.
+
     Every command also takes such a flight in one line, without a file: glstar export 'fly:orbit?radius_m=300'.
 
     Try: glstar fly orbit --radius-m 300 --turns 2 --wind-m-per-s 8 --gusts light -o orbit.csv
     """
     target = Path(f"{path}.csv") if output is None else output
+    echo_note("note: glstar fly is glstar convert 'fly:...' -o FILE.csv now; the old name goes with the next release")
     if target.exists() and not force:
         raise ConfigError(f"{target} is there already; name another file with -o, or replace it with --force")
     flight = synthetic_flight(path, settings).flight()

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
 from glstar.cli.reporting import echo_note, with_verbosity
+from glstar.cli.tables import print_table
 from glstar.config import Config
 from glstar.errors import ExportError, LogFormatError
 from glstar.flight import ClockQuality, Flight
@@ -30,18 +29,21 @@ if TYPE_CHECKING:
 
 # If there are more gaps, they are counted instead of listed.
 _GAPS_LISTED = 5
+# Width of what is written of one log to a pipe, characters.
+_PIPE_COLUMNS = 140
 _PLOT_FORMATS = (".png", ".svg", ".pdf")
 # A larger step between two samples of an angle is a wrap-around, deg.
 _WRAP_DEG = 180.0
 
 
 @with_verbosity
-@with_flight_flags(but=CAMERA_FLAGS)
+@with_flight_flags(but={*CAMERA_FLAGS, "mount"})
 def info(
     flights: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables; or folders of them.",
+            help="Flights: logs of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), CSV tables; folders of"
+            " them; demo; or fly:orbit and other described ones (glstar manual fly).",
             show_default="the bundled flight",
         ),
     ] = None,
@@ -176,7 +178,7 @@ def _print_table(results: "list[tuple[Path, Survey | LogFormatError]]") -> None:
         counts = (len(result.gaps), len(result.boots) or 1, len(result.notes))
         row = (path.name, begins, f"{result.duration_s:.1f}", result.attitude_source, result.light or "not known")
         table.add_row(*row, *map(str, counts))
-    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(table)
+    print_table(table)
     for path, result in results:
         if not isinstance(result, Survey):
             typer.echo(f"{path.name}: {result.reason}", err=True)
@@ -203,9 +205,7 @@ def _print(log: Survey, limit: "LimitingMagnitude | None", scene: "Scene | None"
         ("gaps", _gaps(log)),
     ):
         facts.add_row(name, value)
-    # A pipe has no width: use one that suffices for the table.
-    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
-    console.print(facts)
+    print_table(facts, pipe_columns=_PIPE_COLUMNS)
 
     attitudes = Table("attitude", "samples", "Hz", "seconds", "gaps", "longest, s", "fastest, deg/s", box=None)
     for column in attitudes.columns[1:]:
@@ -220,14 +220,14 @@ def _print(log: Survey, limit: "LimitingMagnitude | None", scene: "Scene | None"
             f"{attitude.longest_gap_s:.3f}",
             f"{attitude.largest_rate_deg_per_s:.0f}",
         )
-    console.print()
-    console.print(attitudes)
+    typer.echo()
+    print_table(attitudes, pipe_columns=_PIPE_COLUMNS)
     if log.boots:
-        console.print()
-        console.print(_boots(log))
+        typer.echo()
+        print_table(_boots(log), pipe_columns=_PIPE_COLUMNS)
     for note in log.notes:
         echo_note(f"note: {note}")
-    console.print(f"\nTry: {log.command}")
+    typer.echo(f"\nTry: {log.command}")
 
 
 def _boots(log: Survey) -> Table:

@@ -1,4 +1,4 @@
-"""What meets ``glstar live`` on a link: ``glstar replay-link`` plays a vehicle, ``glstar answer`` sends positions."""
+"""What meets ``glstar live`` on a link: ``live replay`` plays a vehicle, ``live answer`` sends positions."""
 
 import json
 import sys
@@ -41,7 +41,7 @@ def answer(
 
     Frames of --export and --latest-frame are named by --frame; a live window takes --utc.
 
-    Try: glstar answer zmq://127.0.0.1:5557 --frame 12 --lat -34.93 --lon 138.6 --sigma-km 2
+    Try: glstar live answer zmq://127.0.0.1:5557 --frame 12 --lat -34.93 --lon 138.6 --sigma-km 2
     """
     from glstar.export.publish.stream import send_answers  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.score.answers import parse_answer  # noqa: PLC0415 - the score, only when needed
@@ -86,7 +86,7 @@ def _line(of: dict[str, object], lat: float, lon: float, sigma_km: float | None,
 
 
 @with_verbosity
-@with_flight_flags(but={"time_offset", *CAMERA_FLAGS})
+@with_flight_flags(but={"time_offset", "mount", *CAMERA_FLAGS})
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
     link: Annotated[
@@ -107,7 +107,7 @@ def replay_link(
 ) -> None:
     """Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.
 
-    Try: glstar replay-link flight.BIN udpout:127.0.0.1:14550
+    Try: glstar live replay flight.BIN udpout:127.0.0.1:14550
     """
     from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport  # noqa: PLC0415 - pymavlink
 

@@ -47,7 +47,7 @@ ExposureLength = Annotated[
 ]
 Interval = Annotated[
     float | None,
-    typer.Option(help="From the end of one exposure to the end of the next, s.", show_default="3, or the config's"),
+    typer.Option(help="Time from one exposure's start to the next, s.", show_default="3, or the config's"),
 ]
 Duration = Annotated[float | None, typer.Option(help="When to stop, s.", min=0.0, show_default="when you stop it")]
 BufferLength = Annotated[
@@ -78,7 +78,7 @@ Answers = Annotated[
     str | None,
     typer.Option(
         help="Answers to show in the window or to --inject: a file that a solver appends JSON lines to; - is the"
-        " standard input; zmq://HOST:PORT receives them of glstar answer and of other programs.",
+        " standard input; zmq://HOST:PORT receives them of glstar live answer and of other programs.",
         show_default=False,
     ),
 ]
@@ -417,5 +417,5 @@ def _list_ports(*, as_json: bool) -> None:
         "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
         "  udpout:192.168.1.7:14550     a vehicle that waits for the first packet\n"
         "  tcp:127.0.0.1:5760           a simulator\n"
-        "No vehicle at hand? glstar replay-link FLIGHT udpout:127.0.0.1:14550 plays one."
+        "No vehicle at hand? glstar live replay FLIGHT udpout:127.0.0.1:14550 plays one."
     )

@@ -31,9 +31,10 @@ _REPORTED = 20
 class IncomingAnswers(ABC):
     """Answers that a navigator writes now; a context manager with a thread that reads them.
 
-    `source`: ``zmq://HOST:PORT``, to which `glstar answer` and other programs send them; a file to which the navigator
-    appends JSON lines, as `glstar.score` reads them; or ``-``, the standard input.  Lines that are in the file already
-    are of an earlier run, and are skipped.  `report`: called with a message for each answer that is not valid;
+    `source`: ``zmq://HOST:PORT``, to which `glstar live answer` and other programs send them; a file to which the
+    navigator appends JSON lines, as `glstar.score` reads them; or ``-``, the standard input. Lines that are in the
+    file already are of an earlier run, and are skipped. `report`: called with a message for each answer that is not
+    valid;
     `on_failure`: called if the source cannot be read any more, which `__exit__` then raises as AnswersError.  Raises
     AnswersError if the source is a directory; ConfigError if the address is not valid or in use, or pyzmq is not
     installed.

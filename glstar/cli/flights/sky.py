@@ -12,10 +12,10 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.reporting import echo_note
+from glstar.cli.tables import print_table
 from glstar.errors import ConfigError
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.sky.observed.satellites import Satellites, visible_vmag
@@ -81,9 +81,7 @@ def sky(
     vmag: Annotated[float, typer.Option(help="The faintest magnitude to show.")] = 6.5,
     star_id: Annotated[
         list[int] | None,
-        typer.Option(
-            "--star-id", "--hr", help="Only this star, by its HR or HIP number; may be repeated.", show_default=False
-        ),
+        typer.Option("--star-id", help="Only this star, by its HR or HIP number; may be repeated.", show_default=False),
     ] = None,
     catalogue: Annotated[str, typer.Option(help="bsc5, hipparcos, or the path of a catalogue file.")] = "bsc5",
     astrometry: Annotated[
@@ -238,11 +236,10 @@ def _print(listing: _Listing, format_: _Format, title: str, of_catalogue: str) -
     else:
         table = Table(title=title, caption="; ".join([listing.caption, *listing.notes]))
         for header in listing.headers:
-            table.add_column(header, justify="left" if header == "name" else "right", no_wrap=True)
+            table.add_column(header, justify="left" if header == "name" else "right", no_wrap=header != "name")
         for cells in listing.cells:
             table.add_row(*cells)
-        # A pipe has no width: use one that is wide enough for all columns.
-        Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
+        print_table(table, pipe_columns=_PIPE_WIDTH)
     of_table = format_ is _Format.table
     for note in listing.notes:
         if not of_table or note == of_catalogue:

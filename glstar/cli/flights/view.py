@@ -15,11 +15,13 @@ if TYPE_CHECKING:
     from glstar.viewer.loop import Viewer
     from glstar.viewer.picture.fitting import FitRequest, FitResult, ResidualRequest, TrailResiduals
 
-At = Annotated[float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")]
+Start = Annotated[
+    float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")
+]
 Sliding = Annotated[bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")]
 Processed = Annotated[bool, typer.Option("--processed", help="Show the image that [output] makes of the raw one.")]
 Images = Annotated[Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)]
-Play = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
+Duration = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
 Answers = Annotated[
     Path | None,
     typer.Option(help="Answers of a navigator to draw (CSV or JSON lines); needs --answers-to.", show_default=False),
@@ -97,7 +99,7 @@ def view(
     flight: Flight = None,
     *,
     flags: FlightFlags,
-    at: At = None,
+    start: Start = None,
     sliding: Sliding = False,
     show: windowoptions.Show = None,
     processed: Processed = False,
@@ -106,7 +108,7 @@ def view(
     answers_to: AnswersTo = None,
     size: windowoptions.Size = None,
     screenshot: windowoptions.Screenshot = None,
-    play: Play = None,
+    duration: Duration = None,
     stats: windowoptions.Stats = None,
     leave: Annotated[bool, typer.Option("--exit", help="Exit afterwards.")] = False,
     headless: windowoptions.Headless = False,
@@ -118,9 +120,9 @@ def view(
     Try: glstar view flight.BIN
     """
     settings = flags.settings()
-    scripted = screenshot is not None or play is not None
+    scripted = screenshot is not None or duration is not None
     _refuse_idle(headless=headless, scripted=scripted)
-    _refuse_lone_options(answers, answers_to, stats, play)
+    _refuse_lone_options(answers, answers_to, stats, duration)
     windowoptions.require_window_libraries()
     from glstar.cli.flights.navigatoranswers import placed_answers  # noqa: PLC0415 - the link
     from glstar.viewer.flight.playhead import Mode  # noqa: PLC0415 - imgui, only if a window is opened
@@ -134,7 +136,7 @@ def view(
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
             _enable_measurements(viewer)
             viewer.session.shows_processed = processed
-            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
+            script = Script(start, Mode.SLIDING if sliding else None, overlays, screenshot, duration, asks)
             is_scripted = script != Script(asks=True)
             if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
                 viewer.open(flights_of(settings, None if flight is None else [flight])[0])
@@ -155,7 +157,7 @@ def view(
 
 
 def _enable_measurements(viewer: "Viewer") -> None:
-    """Give the window the functions of ``glstar compare`` and ``glstar calibrate``."""
+    """Give the window the functions of ``glstar compare`` and ``glstar camera calibrate``."""
     viewer.session.comparison.fit_images = fit_images
     viewer.session.comparison.residuals.measure = measure_image
     viewer.interface.calibration.calibrate = windowoptions.calibrate_photo
@@ -174,14 +176,16 @@ def _refuse_idle(*, headless: bool, scripted: bool) -> None:
     """Refuse to run without a window and without a script."""
     if headless and not scripted:
         raise typer.BadParameter(
-            "without a window there is nothing to do but --screenshot or --play", param_hint="--headless"
+            "without a window there is nothing to do but --screenshot or --duration", param_hint="--headless"
         )
 
 
-def _refuse_lone_options(answers: Path | None, answers_to: Path | None, stats: Path | None, play: float | None) -> None:
+def _refuse_lone_options(
+    answers: Path | None, answers_to: Path | None, stats: Path | None, duration_s: float | None
+) -> None:
     """Refuse answers without their frames, frames without answers, and statistics of nothing."""
-    if stats is not None and play is None:
-        raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
+    if stats is not None and duration_s is None:
+        raise typer.BadParameter("--stats needs --duration SECONDS", param_hint="--stats")
     if (answers is None) != (answers_to is None):
         raise typer.BadParameter(
             "--answers FILE and --answers-to EXPORT belong together: an answer names a frame of an export",

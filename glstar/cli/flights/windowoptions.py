@@ -12,6 +12,7 @@ import typer
 from glstar.errors import ContextError
 from glstar.system.files import write_atomically
 from glstar.system.installation import OPENGL_ON_LINUX, missing_library
+from glstar.system.userinput import did_you_mean
 
 if TYPE_CHECKING:
     from glstar.viewer.loop import Surface
@@ -63,8 +64,8 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
     names = {name.strip().lower() for name in text.split(",")} - {"", "nothing"}
     unknown = names - overlays.keys()
     if unknown:
-        listed = ", ".join(Overlay.named())
-        raise typer.BadParameter(f"{min(unknown)!r} is none of {listed}", param_hint="--show")
+        listed, near = ", ".join(Overlay.named()), did_you_mean(min(unknown), Overlay.named(), or_else="")
+        raise typer.BadParameter(f"{min(unknown)!r}{near} is none of {listed}", param_hint="--show")
     return frozenset(overlays[name] for name in names)
 
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="NightSky-Bench: draw named sets of frames, run solvers on them, compare.", no_args_is_help=True)
 
 Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
-Size = Annotated[str, typer.Option(help="small: about 100 frames; full: about 1000.")]
 
 
 @app.command("sets")
@@ -53,7 +52,8 @@ def sets(*, as_json: Json = False) -> None:
 def make(
     name: Annotated[str, typer.Argument(metavar="SET", help="Name of the set: glstar bench sets lists them.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The directory of the set.")],
-    size: Size = "small",
+    *,
+    full: Annotated[bool, typer.Option("--full", help="About 1000 frames, not about 100.")] = False,
     workers: Annotated[int, typer.Option(help="Processes that draw.", min=1, max=64)] = 1,
     as_json: Json = False,
 ) -> None:
@@ -64,10 +64,9 @@ def make(
     Try: glstar bench make static -o static
     """
     with exit_on_interrupt():
-        from glstar.score.sets import SIZES, difference_from, make_set, recipe, reference_of  # noqa: PLC0415 - OpenCV
+        from glstar.score.sets import difference_from, make_set, recipe, reference_of  # noqa: PLC0415 - OpenCV
 
-    if size not in SIZES:
-        raise typer.BadParameter(f"{size} is no size; there are {' and '.join(SIZES)}", param_hint="--size")
+    size = "full" if full else "small"
     chosen = recipe(name)
     try:
         with _executor(workers) as executor, progress_bar("frames") as on_frame:
@@ -125,7 +124,7 @@ def run(
         str | None, typer.Option(help="Name of the solver in tables; by default the last word of its command.")
     ] = None,
     solver_version: Annotated[str, typer.Option(help="Version of the solver in tables.", show_default=False)] = "",
-    timeout_s: Annotated[float, typer.Option("--timeout-s", help="Longest time for a part, s.", min=1)] = 3600.0,
+    timeout_s: Annotated[float, typer.Option("--timeout", help="Longest time for a part, s.", min=1)] = 3600.0,
     as_json: Json = False,
 ) -> None:
     """Run a solver on each part of a set, and score its answers.

@@ -1,4 +1,4 @@
-"""``glstar convert``: an export in the formats of other tools."""
+"""``glstar convert``: an export in the formats of other tools, or a flight as a table."""
 
 import json
 from pathlib import Path
@@ -7,8 +7,13 @@ from typing import Annotated, Literal
 import typer
 
 from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
+from glstar.config import Config
 from glstar.errors import ConfigError, ExportError, reading
 from glstar.export.directory import refuse_links
+from glstar.system.files import write_atomically
+from glstar.system.resources import DEMO
+from glstar.telemetry import as_table, is_flight_description
+from glstar.telemetry.synthetic import parse_description
 
 _BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".srt": "srt"}
 _LEAST_SNR = 5.0
@@ -17,7 +22,14 @@ _SHARD_FRAMES = 1000
 
 @with_verbosity
 def convert(
-    export: Annotated[Path, typer.Argument(help="The directory of an export.", show_default=False)],
+    export: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SET|FLIGHT",
+            help="The directory of an export; or a flight, such as fly:orbit or a log, for a CSV table of it.",
+            show_default=False,
+        ),
+    ],
     output: Annotated[
         str,
         typer.Option(
@@ -46,9 +58,9 @@ def convert(
     ] = 10.0,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
-    """Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, its frames to images with EXIF, or for learning.
+    """Convert an export to MCAP, a ROS 2 bag, CSV, images with EXIF, COCO, YOLO or WebDataset; or a flight to CSV.
 
-    Try: glstar convert frames -o frames.mcap
+    Try: glstar convert frames -o frames.mcap, or glstar convert 'fly:orbit?radius_m=300' -o orbit.csv
     """
     kind = to or _BY_SUFFIX.get(Path(output).suffix.lower())
     if kind == "parquet":
@@ -56,23 +68,53 @@ def convert(
     if kind is None:
         kinds = "mcap, ros2, csv, srt, png, jpeg, coco, yolo or webdataset"
         raise ConfigError(f"{output}: say with --to whether {kinds} is meant")
-    if not export.is_dir():
-        raise ExportError(export, "is no directory of an export")
-    refuse_links(export)
-    if "://" in output and kind != "webdataset":
-        raise ConfigError(f"{output}: only --to webdataset writes to an object store")
-    with reading(export, ExportError, "cannot be converted, a line of its truth is damaged", is_unchecked=True):
-        if kind in {"coco", "yolo", "webdataset"}:
-            written = _written_to_learn(export, output, kind, min_snr, shard_frames)
-        elif kind == "srt":
-            written = _subtitles(export, Path(output), video_fps)
-        else:
-            written = tuple(map(str, _written(export, Path(output), kind)))
+    if is_flight_description(str(export)) or export.is_file() or str(export) == DEMO:
+        _tabulate(export, Path(output), kind, as_json=as_json)
+        return
+    written = _converted(export, output, kind, min_snr, shard_frames, video_fps)
     if as_json:
         typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
     else:
         for path in written:
             typer.echo(f"{kind}: {path}")
+
+
+def _converted(
+    export: Path, output: str, kind: str, min_snr: float, shard_frames: int, video_fps: float
+) -> tuple[str, ...]:
+    """Write an export in another format; return what was written."""
+    if not export.is_dir():
+        raise ExportError(export, "is no directory of an export, and no flight")
+    refuse_links(export)
+    if "://" in output and kind != "webdataset":
+        raise ConfigError(f"{output}: only --to webdataset writes to an object store")
+    with reading(export, ExportError, "cannot be converted, a line of its truth is damaged", is_unchecked=True):
+        if kind in {"coco", "yolo", "webdataset"}:
+            return _written_to_learn(export, output, kind, min_snr, shard_frames)
+        if kind == "srt":
+            return _subtitles(export, Path(output), video_fps)
+        return tuple(map(str, _written(export, Path(output), kind)))
+
+
+def _tabulate(flight: Path, output: Path, kind: str, *, as_json: bool) -> None:
+    """Write a flight as a table that every command reads."""
+    from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV, only when needed
+
+    if kind != "csv":
+        raise ConfigError(f"{output}: of a flight there is a CSV table only; name a file that ends with .csv")
+    if output.exists():
+        raise ConfigError(f"{output} is there already; name another file")
+    described = is_flight_description(str(flight))
+    read = parse_description(str(flight)).flight() if described else Config().open_flight(flight)
+    with explain_disk_errors(output):
+        write_atomically(output, as_table(read).encode())
+    attitude = read.attitude
+    if as_json:
+        facts = {"flight": str(flight), "format": kind, "written": [str(output)], "attitudes": int(attitude.utc_s.size)}
+        typer.echo(json.dumps(facts))
+        return
+    length_s = attitude.last_s - attitude.first_s
+    typer.echo(f"{output}: {length_s:.1f} s, {attitude.utc_s.size} attitudes at {attitude.rate_hz:.0f} Hz")
 
 
 def _written_to_learn(export: Path, output: str, kind: str, min_snr: float, shard_frames: int) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ _BLACK_DN, _WHITE_DN = 12.0, 60.0
 
 # From sunset to moonset of 2024-03-18 over Adelaide, a day after first quarter: a camera 22 deg above the north-west.
 _NIGHT = (
-    "fly:still?latitude_deg=-34.93&longitude_deg=138.60&height_m=500&heading_deg=325&start_utc=2024-03-18T08:55:00Z"
+    "fly:still?latitude_deg=-34.93&longitude_deg=138.60&height_m=500&heading_deg=325&utc_start=2024-03-18T08:55:00Z"
     "&duration_s=21600&rate_hz=0.1"
 )
 _NIGHT_KEYS = {

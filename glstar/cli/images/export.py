@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import typer
 
+from glstar.camera.mounts import mount_label
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
 from glstar.cli.images import exportoptions as options
 from glstar.cli.reporting import echo_detail, echo_note, progress_bar, with_verbosity
@@ -439,22 +440,21 @@ def _light_notes(frames: "Frames") -> list[str]:
     if not len(frames.numbers):
         return []
     numbers = frames.numbers[np.unique(np.linspace(0, len(frames.numbers) - 1, _CHECKED).astype(np.intp))]
-    checked = [_ground_and_sun(frames.shot(int(number))) for number in numbers]
-    grounded = sum(sees_ground for sees_ground, _ in checked)
+    checked = [_sun_and_ground(frames.shot(int(number))) for number in numbers]
+    grounded = sum(sees_ground for _, sees_ground in checked)
     notes = []
+    middle = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
     if grounded:
         notes.append(
-            f"{_of_checked(grounded, len(checked))} show only the ground, because the camera points below the horizon:"
-            " [mount] says how it is mounted"
+            f"{_of_checked(grounded, len(checked))} show only the ground, because the camera points below the horizon"
+            f" ({mount_label(middle.simulator.mount)}): --mount or [mount] says how it is mounted"
         )
-    sun_deg = [sun for _, sun in checked]
-    by_day = sum(sun > _DAY_DEG for sun in sun_deg)
+    by_day = sum(sun > _DAY_DEG for sun, _ in checked)
     if by_day:
         notes.append(
             f"{_of_checked(by_day, len(checked))} are of day or bright twilight, with the Sun up to"
-            f' {max(sun_deg):.0f} deg high: a camera sees no stars then; [sky] brightness = "natural" shows it'
+            f' {max(checked)[0]:.0f} deg high: a camera sees no stars then; [sky] brightness = "natural" shows it'
         )
-    middle = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
     if middle.simulator.sensor.effects.get("sky.brightness") == "natural":
         notes.append(f"the middle frame: {conditions_report(middle.simulator.scene(middle.exposure))}")
     satellites = middle.simulator.sky.satellites
@@ -471,13 +471,13 @@ def _of_checked(count: int, checked: int) -> str:
     return "all frames" if count == checked else f"{count} of {checked} frames checked"
 
 
-def _ground_and_sun(shot: "Shot") -> tuple[bool, float]:
-    """Return whether a frame shows only the ground, and the altitude of the Sun, deg."""
+def _sun_and_ground(shot: "Shot") -> tuple[float, bool]:
+    """Return the altitude of the Sun, deg, and whether a frame shows only the ground."""
     simulator, mid_s = shot.simulator, shot.exposure.mid_utc_s
     (samples,) = simulator.motion.at(np.array([mid_s]))
     altitude_rad = asin(float(np.clip(samples.pointing.boresight_eq[0] @ samples.pointing.zenith_eq[0], -1, 1)))
     highest_rad = altitude_rad + simulator.camera.field_radius_rad
-    return highest_rad < asin(samples.pointing.sine_horizon), degrees(sun_altitude_rad(mid_s, samples.site))
+    return degrees(sun_altitude_rad(mid_s, samples.site)), highest_rad < asin(samples.pointing.sine_horizon)
 
 
 def _bit_note(task: "FrameTask") -> str:

@@ -42,7 +42,8 @@ MAX_WORKERS = 8
 Flights = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables.",
+        help="Flights: logs of ArduPilot (.BIN, .log), MAVLink (.tlog), PX4 (.ulg), CSV tables; demo; or fly:orbit and"
+        " other described ones (glstar manual fly).",
         show_default="the bundled flight",
     ),
 ]
@@ -166,7 +167,7 @@ Split = Annotated[
         show_default="no",
     ),
 ]
-SplitShares = Annotated[str, typer.Option(metavar="TRAIN,VALIDATION,TEST", help="Shares of the flights with --split.")]
+SplitShares = Annotated[str, typer.Option(help="Shares of the flights for training, validation and test with --split.")]
 SplitSeed = Annotated[int, typer.Option(help="Seed of --split.")]
 Card = Annotated[
     bool | None,

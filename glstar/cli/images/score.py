@@ -10,12 +10,15 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from glstar.cli.tables import console_of_width, print_table
 from glstar.score.frames import Limits
 from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
 from glstar.score.metrics import METRICS, Metric, Spread, Summary
 from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Orbit, Score, draw_score, orbits_by_setting
 from glstar.system.files import write_atomically
 
+# Width of a score that is written to a pipe, characters.
+_PIPE_COLUMNS = 120
 # Orbits that are printed one by one; score.json has all.
 _MOST_ORBITS = 12
 # Invalid lines that are reported one by one; score.json has all.
@@ -94,7 +97,7 @@ def score(
 
 
 def _print_score(found: Score, output: Path | None, by: frozenset[str]) -> None:
-    console = Console(width=None if Console().is_terminal else 120)
+    console = console_of_width(_PIPE_COLUMNS)
     _print(found, console, by)
     if output is not None:
         typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
@@ -139,7 +142,7 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
         if metric.units and not metric.part_of:
             for part in (metric, *(other for other in METRICS if other.part_of == metric.name)):
                 _add_errors(table, part, whole)
-    console.print(table)
+    print_table(table, pipe_columns=_PIPE_COLUMNS)
     precision, recall = whole.number("precision"), whole.number("recall")
     if precision is not None:
         of_detectable = "" if recall is None else f", recall {recall:.1%} of the detectable ones"
@@ -157,9 +160,9 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
             highlight=False,
         )
     if found.spread is not None:
-        _print_runs(found.spread, len(found.runs), console)
+        _print_runs(found.spread, len(found.runs))
     for name, by_value in orbits_by_setting(found.runs).items():
-        _print_orbits(name, by_value, console)
+        _print_orbits(name, by_value)
     for number, orbit in enumerate(found.orbits[:_MOST_ORBITS], 1):
         circle = (
             "" if orbit.circle_km is None else f", centre of a {orbit.radius_km:.2f} km circle {orbit.circle_km:.2f} km"
@@ -172,8 +175,8 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
     drawn = found.drawn - by
     for name, groups in found.bins:
         if name not in drawn:
-            _print_bins(name, groups, console)
-    _print_drawn([(name, groups) for name, groups in found.bins if name in drawn], console)
+            _print_bins(name, groups)
+    _print_drawn([(name, groups) for name, groups in found.bins if name in drawn])
 
 
 def _add_errors(table: Table, metric: Metric, summary: Summary) -> None:
@@ -184,16 +187,16 @@ def _add_errors(table: Table, metric: Metric, summary: Summary) -> None:
             table.add_row(unit.label, *_numbers(spread.scaled(unit.per_value)))
 
 
-def _print_runs(spreads: Mapping[str, Spread | None], runs: int, console: Console) -> None:
+def _print_runs(spreads: Mapping[str, Spread | None], runs: int) -> None:
     table = Table(f"spread over {runs} runs", "median", "rms", "90 %", "count", box=None)
     for metric in RUN_METRICS:
         spread = spreads[metric.json_key]
         if spread is not None:
             table.add_row(metric.label, *_numbers(spread))
-    console.print(table)
+    print_table(table, pipe_columns=_PIPE_COLUMNS)
 
 
-def _print_orbits(name: str, by_value: Mapping[str, Sequence[Orbit]], console: Console) -> None:
+def _print_orbits(name: str, by_value: Mapping[str, Sequence[Orbit]]) -> None:
     """Print how far the means of the orbits are off, by the value of a setting: the spread says what chance does."""
     table = Table(name, "orbits", "mean, km", "10 %", "90 %", "weighted by heading, km", "10 %", "90 %", box=None)
     for label, orbits in by_value.items():
@@ -201,20 +204,20 @@ def _print_orbits(name: str, by_value: Mapping[str, Sequence[Orbit]], console: C
         for values in ([orbit.mean_km for orbit in orbits], [orbit.weighted_mean_km for orbit in orbits]):
             cells += [f"{quantile:.3g}" for quantile in np.quantile(values, (0.5, 0.1, 0.9))]
         table.add_row(label, *cells)
-    console.print(table)
+    print_table(table, pipe_columns=_PIPE_COLUMNS)
 
 
-def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Console) -> None:
+def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...]) -> None:
     metrics = [metric for metric in METRICS if metric.in_bins]
     labels = [metric.units[0].label for metric in metrics]
     table = Table(name, "frames", "solved", "refused", "false", *labels, box=None)
     for label, one in groups:
         medians = [_median(one, metric) for metric in metrics]
         table.add_row(label, *(str(count) for count in (one.frames, one.solved, one.refused, one.false)), *medians)
-    console.print(table)
+    print_table(table, pipe_columns=_PIPE_COLUMNS)
 
 
-def _print_drawn(bins: list[tuple[str, tuple[tuple[str, Summary], ...]]], console: Console) -> None:
+def _print_drawn(bins: list[tuple[str, tuple[tuple[str, Summary], ...]]]) -> None:
     """Print the lowest and the highest range of each setting that was drawn at random, a line for each setting."""
     if not bins:
         return
@@ -234,7 +237,7 @@ def _print_drawn(bins: list[tuple[str, tuple[tuple[str, Summary], ...]]], consol
         for label, one in (groups[0], groups[-1]):
             cells += [label, f"{one.solved} of {one.frames}", _median(one, boresight)]
         table.add_row(name, *cells)
-    console.print(table)
+    print_table(table, pipe_columns=_PIPE_COLUMNS)
 
 
 def _median(summary: Summary, metric: Metric) -> str:

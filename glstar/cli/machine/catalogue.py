@@ -1,4 +1,4 @@
-"""``glstar catalogue``: build star catalogues and show their contents."""
+"""``glstar sky catalogue``: build star catalogues and show their contents."""
 
 import json
 import os
@@ -12,6 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from glstar.cli.tables import print_table
 from glstar.errors import CatalogueError, ExportError, reading
 from glstar.sky.catalogue.bright import build_bsc5, build_hipparcos
 from glstar.sky.catalogue.deep import build_gaia, build_hip_main, build_table, build_tycho2
@@ -163,7 +164,7 @@ def info(
     table.add_row("sha256", facts["sha256"])
     if facts["note"]:
         table.add_row("note", facts["note"])
-    Console().print(table, highlight=False, markup=False)
+    print_table(table)
 
 
 def _facts(catalogue: CatalogueFile) -> dict[str, Any]:

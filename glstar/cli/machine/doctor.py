@@ -1,9 +1,8 @@
-"""Tools for the machine: ``glstar doctor`` checks OpenGL, libraries and catalogues, ``glstar bench`` its speed."""
+"""Tools for the machine: ``doctor`` checks OpenGL, libraries and catalogues, ``doctor bench`` its speed."""
 
 import json
 import os
 import platform
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar import __version__
+from glstar.cli.tables import print_table
 from glstar.errors import GlstarError
 from glstar.sky.catalogue.reading import NAMES, StarCatalogue
 from glstar.system.installation import broken_libraries, library_versions, missing_library
@@ -159,9 +159,8 @@ def bench(
         table.add_row(
             f"{row['width_px']} x {row['height_px']}", f"{row['drawn_per_s']:.1f}", f"{row['written_per_s']:.1f}"
         )
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, markup=False)
-    console.print(f"{driver}, {platform.machine()}")
-    console.print(table)
+    typer.echo(f"{driver}, {platform.machine()}")
+    print_table(table)
 
 
 def _rates_of(renderer: "GLRenderer", width_px: int, seconds: float, folder: Path) -> dict[str, Any]:

@@ -7,13 +7,17 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.markdown import Markdown
+from rich.table import Table
 
+from glstar.cli.tables import print_table
 from glstar.errors import ConfigError
 from glstar.system.resources import manual_pages
-from glstar.system.userinput import did_you_mean
+from glstar.system.userinput import nearest_word
 
 # The widest text column in a terminal, in characters; longer lines are hard to read.
 _MAX_COLUMNS = 120
+# Lines of a page with a word that are printed, and their width in characters: they fit a terminal of 80 columns.
+_LINES, _WIDTH = 3, 66
 
 
 def _topics(incomplete: str) -> list[str]:
@@ -23,28 +27,28 @@ def _topics(incomplete: str) -> list[str]:
 
 def manual(
     topic: Annotated[
-        str,
+        list[str] | None,
         typer.Argument(
-            metavar="[TOPIC]", help="The page to print; without it, the list of pages.", autocompletion=_topics
+            metavar="[TOPIC|WORDS]",
+            help="The page to print, or words to find in the lines of all pages; without them, the list of pages.",
+            autocompletion=_topics,
         ),
-    ] = "",
+    ] = None,
 ) -> None:
-    """Print a page of the manual.
+    """Print a page of the manual, or the lines of all pages that have some words.
 
     The page is formatted for a terminal. Piped into a file or another program it is plain Markdown.
 
-    Example: glstar manual tutorial
+    Example: glstar manual tutorial, or glstar manual yolo
     """
-    pages = manual_pages()
-    if not topic:
+    words = " ".join(topic or ()).lower().split()
+    if not words:
         _print_topics()
         return
-    page = pages.get(topic.lower().removesuffix(".md"))
+    page = manual_pages().get("-".join(words).removesuffix(".md"))
     if page is None:
-        raise ConfigError(
-            f"the manual has no page {topic!r}"
-            + did_you_mean(topic.lower(), list(pages), or_else=f" (the pages are {', '.join(pages)})")
-        )
+        _print_lines(words)
+        return
     text = page.read_text(encoding="utf-8")
     if is_terminal():
         console = Console()
@@ -67,9 +71,36 @@ def summary(page_text: str) -> str:
     return re.split(r"(?<=\.) ", paragraph, maxsplit=1)[0].replace("`", "")
 
 
+def _print_lines(words: list[str]) -> None:
+    """Print the lines of all pages that have all words, the pages with most of them first; ConfigError if none has."""
+    found = {}
+    for topic, page in manual_pages().items():
+        lines = enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+        if hits := [(number, line) for number, line in lines if all(word in line.lower() for word in words)]:
+            found[topic] = hits
+    near = nearest_word(words[0], manual_pages())
+    if not found:
+        suggestion = f" (did you mean {near}?)" if near else f" (the pages are {', '.join(manual_pages())})"
+        raise ConfigError(f"the manual has no page {' '.join(words)!r} and no line with it{suggestion}")
+    for topic, hits in sorted(found.items(), key=lambda item: -len(item[1])):
+        typer.echo(f"{topic}: {len(hits)}")
+        for number, line in hits[:_LINES]:
+            typer.echo(f"  {number:4}  {_around(line.strip(), words[0])}")
+    typer.echo(f"\nglstar manual TOPIC prints a page{f'; did you mean {near}?' if near else ''}")
+
+
+def _around(line: str, word: str) -> str:
+    """Return a line, cut to a width with the word in it."""
+    at = line.lower().index(word)
+    first = max(0, min(at - _WIDTH // 3, len(line) - _WIDTH))
+    shown = line[first : first + _WIDTH]
+    return f"{'...' if first else ''}{shown}{'...' if first + _WIDTH < len(line) else ''}"
+
+
 def _print_topics() -> None:
-    pages = manual_pages()
-    width = max(map(len, pages))
-    for topic, page in pages.items():
-        typer.echo(f"{topic:{width}}  {summary(page.read_text(encoding='utf-8'))}")
-    typer.echo("\nglstar manual TOPIC prints a page; start with: glstar manual tutorial")
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for topic, page in manual_pages().items():
+        table.add_row(topic, summary(page.read_text(encoding="utf-8")))
+    print_table(table)
+    typer.echo("\nglstar manual TOPIC prints a page, glstar manual WORDS finds lines")
+    typer.echo("Start with: glstar manual tutorial")

@@ -1,15 +1,15 @@
 """``glstar config``: the settings in effect and where each comes from, or a commented template."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from glstar.camera.mounts import mount_label
 from glstar.cli.flightoptions import FlightFlags, with_flight_flags
+from glstar.cli.tables import print_table
 from glstar.config.config import DEFAULT, origins
 from glstar.config.keys import toml_value
 from glstar.errors import ConfigError
@@ -52,7 +52,9 @@ def show_config(
     for section, values in found.items():
         for key, (value, origin) in values.items():
             table.add_row(f"{section}.{key}", toml_value(value), origin)
-    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(table)
+    print_table(table)
+    if not changed:
+        typer.echo(f"\n{mount_label(settings.mount())}: glstar manual mounts")
 
 
 def _write_template(path: Path) -> None:

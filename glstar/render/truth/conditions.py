@@ -7,6 +7,8 @@ from math import asin, degrees, isfinite, log10, nan, pi, radians
 import numpy as np
 
 from glstar.arrays import Float
+from glstar.camera.model import Mount
+from glstar.camera.mounts import mount_label
 from glstar.camera.sensor.sensor import limiting_mag, noise_equivalent_area_px2
 from glstar.errors import RenderError
 from glstar.render.effects.cloud import axis_transmission, frame_transmission, sky_fraction
@@ -38,6 +40,7 @@ class ViewingConditions:
     moon_separation_rad: float  # From the optical axis, rad
     axis_altitude_rad: float  # Of the optical axis above the horizon, with its dip if it has one, rad
     sees_only_ground: bool  # Whether the complete image is below the horizon
+    mount: Mount  # Of the camera, named in the warning
 
     @property
     def light(self) -> str:
@@ -67,9 +70,10 @@ class ViewingConditions:
     def ground_warning(self) -> str:
         """That the camera points at the ground; empty if it points at the sky."""
         if self.sees_only_ground:
-            return "the camera sees only the ground: [mount] says how it is mounted"
+            return f"the camera sees only the ground ({mount_label(self.mount)}): [mount] says how it is mounted"
         if self.axis_altitude_rad < 0:
-            return f"the camera points at the ground, {-degrees(self.axis_altitude_rad):.0f} deg below the horizon"
+            below_deg = -degrees(self.axis_altitude_rad)
+            return f"the camera points at the ground, {below_deg:.0f} deg below the horizon ({mount_label(self.mount)})"
         return ""
 
 
@@ -100,6 +104,7 @@ def viewing_conditions(scene: Scene) -> ViewingConditions:
         moon_separation_rad=pi / 2 - _elevation_rad(moon.direction_eq, axis),
         axis_altitude_rad=axis_rad,
         sees_only_ground=_sees_only_ground(scene, axis_rad),
+        mount=Mount.from_matrix(scene.C_camera_body),
     )
 
 

@@ -205,7 +205,7 @@ class StarCatalogue:
             ).fetchone()
         if facts[0] == 0:
             raise CatalogueError(
-                path, "is a glstar catalogue without a star; build it again with `glstar catalogue build`"
+                path, "is a glstar catalogue without a star; build it again with `glstar sky catalogue build`"
             )
         return CatalogueFile(path, MappingProxyType(provenance), *(*facts, schema))
 
@@ -239,7 +239,7 @@ class CatalogueFile:
         if self.catalogue == "hipparcos" and self.schema == 1:
             return (
                 f"{self.path}: this Hipparcos file of an earlier glstar has no parallaxes, which move the nearest stars"
-                " by up to 0.8 arcsec; build it again with `glstar catalogue build hipparcos --force`"
+                " by up to 0.8 arcsec; build it again with `glstar sky catalogue build hipparcos --force`"
             )
         return ""
 
@@ -322,29 +322,29 @@ def _checked_schema(path: Path, asked: str | os.PathLike[str]) -> int:
             header = file.read(100)
     except FileNotFoundError as error:
         if asked in NAMES and asked != "bsc5":
-            raise CatalogueError(path, f"does not exist yet; run `glstar catalogue build {asked}`") from error
+            raise CatalogueError(path, f"does not exist yet; run `glstar sky catalogue build {asked}`") from error
         if asked == "bsc5":
             raise CatalogueError(
-                path, "is missing from this installation; run `glstar catalogue build bsc5`"
+                path, "is missing from this installation; run `glstar sky catalogue build bsc5`"
             ) from error
         raise CatalogueError(path, f"does not exist; name a catalogue file, {ALL_NAMES}") from error
     except (OSError, ValueError) as error:
         raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if not header:
-        raise CatalogueError(path, "is empty; build it again with `glstar catalogue build`")
+        raise CatalogueError(path, "is empty; build it again with `glstar sky catalogue build`")
     if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
-        raise CatalogueError(path, "is no SQLite file; name one that `glstar catalogue build` wrote")
+        raise CatalogueError(path, "is no SQLite file; name one that `glstar sky catalogue build` wrote")
     # The user version and the application ID are at bytes 60 and 68 of an SQLite file, big-endian.
     schema, application_id = int.from_bytes(header[60:64]), int.from_bytes(header[68:72])
     if application_id != APPLICATION_ID:
         raise CatalogueError(
-            path, "is a SQLite file but no glstar catalogue; name one that `glstar catalogue build` wrote"
+            path, "is a SQLite file but no glstar catalogue; name one that `glstar sky catalogue build` wrote"
         )
     if schema not in SCHEMAS:
         raise CatalogueError(
             path,
             f"has tables of version {schema} and this glstar reads versions {SCHEMAS[0]} and {SCHEMAS[1]};"
-            " build it again with `glstar catalogue build`",
+            " build it again with `glstar sky catalogue build`",
         )
     return schema
 
@@ -357,11 +357,11 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
             # A view may have rows without end.
             if connection.execute("SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index')").fetchone():
-                raise CatalogueError(path, "has views or triggers, which `glstar catalogue build` does not write")
+                raise CatalogueError(path, "has views or triggers, which `glstar sky catalogue build` does not write")
             yield connection
     except sqlite3.Error as error:
         raise CatalogueError(
-            path, f"is damaged ({reason_of(error)}); build it again with `glstar catalogue build`"
+            path, f"is damaged ({reason_of(error)}); build it again with `glstar sky catalogue build`"
         ) from error
 
 

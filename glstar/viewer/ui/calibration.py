@@ -232,7 +232,7 @@ class CalibrateWindow:
     def open(self, session: Session, path: Path) -> None:
         """Show a photograph and calibrate with the camera of the settings, if possible."""
         if self.calibrate is None:
-            session.notify("this window cannot calibrate: use glstar view, or glstar calibrate", is_error=True)
+            session.notify("this window cannot calibrate: use glstar view, or glstar camera calibrate", is_error=True)
             return
         self.close_run()
         self._path, self.is_open, self.result, self._first = path, True, None, None
@@ -415,7 +415,7 @@ class CalibrateWindow:
         if imgui.button("Save calibration.toml"):
             path = session.output / "calibration.toml"
             self._files.ask("save", "Save the calibration", path, lambda chosen: self.save(result, chosen))
-        imgui.set_item_tooltip("with the list of stars, a report and JSON beside it, as glstar calibrate")
+        imgui.set_item_tooltip("with the list of stars, a report and JSON beside it, as glstar camera calibrate")
         imgui.same_line()
         if imgui.button("Apply to the camera"):
             _apply(session, result)

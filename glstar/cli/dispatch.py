@@ -1,0 +1,201 @@
+"""How the words of a command line find their command: subcommands, old names, ``glstar help``, suggestions, panels."""
+
+import re
+from collections.abc import Collection
+from itertools import pairwise
+from typing import Any, Final
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from glstar.cli.commands import COMMANDS, OLD_COMMANDS
+from glstar.cli.concepts import BY_FLAG, PANELS, REPORT, Concept, old_flags
+from glstar.errors import GlstarError
+from glstar.system.process import exit_status
+from glstar.system.userinput import did_you_mean
+
+# Key of the arguments of the command line, for the options that are processed before the others.
+WORDS: Final = "glstar.words"
+
+_HELP = ("--help", "-h")
+_QUIET = {"--quiet", "-q"}
+
+
+def normalised(words: Collection[str]) -> list[str]:
+    """Return the words of a command line with the help flag last, and commands under their present names.
+
+    ``glstar help export`` and ``glstar --help export`` become ``glstar export --help``; ``glstar help mounts``, a page
+    of the manual, becomes ``glstar manual mounts``, and ``glstar bench`` becomes ``glstar doctor bench``.
+    """
+    words = list(words)
+    at = next((k for k, word in enumerate(words) if not word.startswith("-")), None)
+    if at is None:
+        return words
+    named = words[at:]
+    asks = any(word in _HELP for word in words[:at])
+    if named[0] == "help":
+        named, asks = named[1:], True
+    before = [word for word in words[:at] if word not in _HELP]
+    if not named:
+        return [*before, "--help"]
+    if asks and named[0] not in COMMANDS and named[0] not in OLD_COMMANDS:
+        return [*before, "manual", *(word for word in named if word not in _HELP)]
+    named = [*OLD_COMMANDS.get(named[0], named[0]).split(), *named[1:]]
+    return [*before, *named, *(("--help",) if asks and named[-1] not in _HELP else ())]
+
+
+def chosen(words: Collection[str]) -> str | None:
+    """Return the command that normalised words name, of one or two words; None if there is none."""
+    named = [word for word in words if not word.startswith("-")]
+    return next((name for n in (2, 1) if (name := " ".join(named[:n])) in COMMANDS), None)
+
+
+def note_old_names(words: Collection[str]) -> None:
+    """Note that the command of a command line has another name now."""
+    old = next((word for word in words if not word.startswith("-")), "")
+    if old in OLD_COMMANDS:
+        _note(words, f"glstar {old} is called glstar {OLD_COMMANDS[old]} now; the old name goes with the next release")
+
+
+def _note(words: Collection[str], text: str) -> None:
+    """Write a note to standard error, unless the words have ``--quiet``: the flags are not parsed yet."""
+    if not _QUIET & set(words):
+        typer.echo(f"note: {text}", err=True)
+
+
+class Program(TyperGroup):
+    """The program: finds commands of one or two words, and prints an error of glstar as one line, exit status 1.
+
+    With ``--traceback`` the traceback is shown too.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; reject empty ones, because an empty path means the working directory."""
+        for before, word in pairwise(("", *args)):
+            if not word or (word.startswith("--") and word.endswith("=")):
+                after = word.rstrip("=") or before
+                where = f" after {after}" if after else ""
+                raise typer.BadParameter(f"an empty word{where}; is a variable of the shell not set?", ctx=ctx)
+        ctx.meta[WORDS] = tuple(args)
+        if not ctx.resilient_parsing:
+            note_old_names(args)
+        remaining: list[str] = super().parse_args(ctx, normalised(args))
+        return remaining
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Return a command of two words if there is one, such as ``live answer``."""
+        name = " ".join(args[:2])
+        if len(args) > 1 and name in self.commands:
+            return name, self.commands[name], args[2:]
+        return super().resolve_command(ctx, args)
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the commands in the order of ``glstar --help``, without those of two words."""
+        return [name for name in super().list_commands(ctx) if " " not in name]
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except GlstarError as error:
+            if ctx.params["traceback"]:
+                raise
+            typer.echo(f"glstar: {' '.join(str(error).split())}", err=True)
+            ctx.exit(1)
+        except KeyboardInterrupt as interrupt:
+            typer.echo("glstar: stopped", err=True)
+            ctx.exit(exit_status(interrupt))
+
+
+class Command(TyperCommand):
+    """A command: reads old names of its flags, suggests values, and shows its options in panels by concept."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, with flags under their present names."""
+        try:
+            remaining: list[str] = super().parse_args(ctx, _renamed(args, self._name_of(ctx), ctx))
+        except typer.BadParameter as error:
+            error.message += _suggestion(error.message)
+            raise
+        return remaining
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters: arguments first, then options by panel."""
+        parameters: list[Any] = super().get_params(ctx)
+        for parameter in parameters:
+            concept = next((BY_FLAG[flag] for flag in parameter.opts if flag in BY_FLAG), None)
+            if concept is not None:
+                _show(parameter, concept, ctx)
+        return sorted(parameters, key=_place)
+
+    def _name_of(self, ctx: Any) -> str:
+        """Return the name of the command without that of the program: ``camera show``."""
+        names = [ctx.info_name]
+        while (ctx := ctx.parent) is not None and ctx.parent is not None:
+            names.insert(0, ctx.info_name)
+        return " ".join(names)
+
+
+def _show(parameter: Any, concept: Concept, ctx: Any) -> None:
+    """Give an option its place in the help: the panel, and the unit before the meaning."""
+    parameter.rich_help_panel = concept.panel
+    if parameter.metavar is not None:
+        return
+    if choices := _choices(parameter, ctx):
+        parameter.metavar, parameter.help = "NAME", f"{parameter.help} One of: {choices}."
+    else:
+        # A switch has no value.
+        parameter.metavar = "" if getattr(parameter, "is_flag", False) else concept.unit or None
+
+
+def _place(parameter: Any) -> int:
+    """Return the rank of a parameter in the help of its command."""
+    panel = getattr(parameter, "rich_help_panel", None)
+    if parameter.param_type_name == "argument":
+        return -1
+    return PANELS.index(panel) if panel in PANELS else PANELS.index(REPORT)
+
+
+def _renamed(args: list[str], command: str, ctx: Any) -> list[str]:
+    """Return the arguments of a command with old names of flags replaced; note each of them once."""
+    renamed, noted = old_flags(command), set[str]()
+    words: list[str] = []
+    for number, word in enumerate(args):
+        if word == "--":
+            return [*words, *args[number:]]
+        flag, equals, value = word.partition("=")
+        if flag in renamed:
+            words.append(f"{renamed[flag]}{equals}{value}")
+            if flag not in noted and not ctx.resilient_parsing:
+                noted.add(flag)
+                note = f"{flag} is called {renamed[flag]} now; the old name goes with the next release"
+                _note(ctx.meta.get(WORDS, ()), note)
+        else:
+            words.append(word)
+    return words
+
+
+def _suggestion(message: str) -> str:
+    """Return the choice most similar to a wrong one, by the message of typer, which quotes both."""
+    parts = re.search(r"'([^']*)' is not one of (.*)\.$", message)
+    if parts is None:
+        return ""
+    return did_you_mean(parts[1], re.findall(r"'([^']*)'", parts[2]), quote="'", or_else="")
+
+
+def _choices(parameter: Any, ctx: Any) -> str:
+    """Return the choices of an option, with spaces between so that no terminal cuts one; empty if it has none."""
+    shown = getattr(parameter, "display_type_rich", None) or parameter.make_metavar
+    parts = re.fullmatch(r"[<\[](.+\|.+)[>\]]", shown(ctx) or "")
+    return parts[1].replace("|", ", ") if parts else ""
+
+
+def inner_commands(name: str) -> list[str]:
+    """Return the commands inside another: ``live answer`` and ``live replay`` of ``live``."""
+    return [other for other in COMMANDS if other.startswith(f"{name} ")]
+
+
+def epilog_of(name: str) -> str | None:
+    """Return the line below the help of a command that names the commands inside it; None if there are none."""
+    inner = [f"glstar {other}" for other in inner_commands(name)]
+    return f"See also: {', '.join(inner)}" if inner else None
