@@ -39,6 +39,9 @@ _STARTS_PER_S = 1e6
 # Star directions of a live flight are computed again after this time, s: they change by 0.03" an hour.
 _STARS_S = 3600.0
 
+# Interval of flight after which a stretch that follows the image is fitted again while the flight plays, s.
+_FOLLOW_S = 0.5
+
 # Suffixes of files that describe a camera and its lens.
 _CAMERA_FILES = (".yaml", ".yml", ".json")
 
@@ -91,6 +94,8 @@ class Session:
         self._latest: LatestAttitude | None = None
         self._control: ControlledExposure | None = None
         self._measured: Scene | None = None
+        # The scene to which the stretch was fitted last.
+        self._followed: Scene | None = None
         # A simulator, the exposure time, s, and the gain of the control, and the simulator with them.
         self._as_set: tuple[Simulator, tuple[float, float], Simulator] | None = None
 
@@ -148,6 +153,7 @@ class Session:
         request = ImageRequest(shot.exposure, number, shot.simulator, self.comparison.is_noiseless)
         drawn = self.image.update(request, playing=head.playing and not head.live)
         self._measure()
+        self._follow_image()
         if drawn and head.live and self.live is not None and self._latest is not None:
             self.live.drew(self._latest, self.scene, self.config.exposure.duration_s)
 
@@ -176,6 +182,24 @@ class Session:
         if pixels is not None and electrons is not None:
             level = level_of(self._control.control, scene.exposure, scene.sensor, pixels)
             self._control = self._control.after(level, scene.exposure.duration_s * electrons.analogue_gain)
+
+    def follow_image(self) -> None:
+        """Fit the stretch to the image shown in the next update, unless it is held."""
+        self._followed = None
+
+    def _follow_image(self) -> None:
+        """Fit black and white to a new image unless they are held; while the flight plays, twice a second of it."""
+        scene, before = self.scene, self._followed
+        if scene is None or scene is before or self.stretch.held:
+            return
+        if self.is_playing and before is not None and before.sensor is scene.sensor:
+            elapsed_s = scene.exposure.start_utc_s - before.exposure.start_utc_s
+            if abs(elapsed_s) < _FOLLOW_S and before.exposure.duration_s == scene.exposure.duration_s:
+                return
+        pixels = self.image.pixels
+        if pixels is not None:
+            self._followed = scene
+            self.stretch = self.stretch.following(pixels, scene.white_dn, Stretch.for_sensor(scene.sensor))
 
     # --- live flights ---
 

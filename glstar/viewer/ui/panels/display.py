@@ -121,6 +121,12 @@ def _draw_stretch(session: Session) -> None:
     imgui.same_line()
     if draw_button("Reset##stretch", "The stretch that suits the sensor, as at the start"):
         stretch = Stretch.for_sensor(session.config.sensor())
+        session.follow_image()
+    imgui.same_line()
+    tooltip = "Keep black and white as they are; otherwise they follow the image, so that the sky is dark"
+    if draw_checkbox("Hold", stretch.held, tooltip) != stretch.held:
+        stretch = replace(stretch, held=not stretch.held)
+        session.follow_image()
     imgui.same_line()
     is_asinh = stretch.kind is StretchKind.ASINH
     if draw_checkbox("Asinh", is_asinh, "Brightens faint signals without clipping bright ones (I)") != is_asinh:
@@ -132,11 +138,11 @@ def _draw_stretch(session: Session) -> None:
     changed, boost = imgui.slider_float("Boost", stretch.boost, 0.125, highest, "x%.2f", _LOGARITHMIC)
     imgui.set_item_tooltip("Gain of the display, as of a longer exposure (Up, Down)")
     if changed:
-        stretch = replace(stretch, boost=boost)
+        stretch = replace(stretch, boost=boost, held=True)
     changed, black_dn = imgui.slider_float(
         "Black", stretch.black * white_dn, 0.0, white_dn / 4, "%.1f DN", _LOGARITHMIC
     )
     imgui.set_item_tooltip("Level shown black, DN")
     if changed:
-        stretch = replace(stretch, black=black_dn / white_dn)
+        stretch = replace(stretch, black=black_dn / white_dn, held=True)
     session.stretch = stretch

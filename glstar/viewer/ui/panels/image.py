@@ -18,7 +18,13 @@ from glstar.viewer.session.actions import select_object
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection, star_at
 from glstar.viewer.ui.panels.compare import residuals_of
-from glstar.viewer.ui.panels.imagelayers import Edges, draw_comparison_labels, draw_pixel_grid, draw_shapes
+from glstar.viewer.ui.panels.imagelayers import (
+    Edges,
+    draw_comparison_labels,
+    draw_edged_text,
+    draw_pixel_grid,
+    draw_shapes,
+)
 from glstar.viewer.ui.theme import accent, error
 
 # Zoom factor of a notch of the mouse wheel.
@@ -260,7 +266,7 @@ def _draw_selected(
         inside = clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]
         if inside:
             draw_list.add_circle(ImVec2(*at), _SELECTED_PX, colour, 0, 1.5)
-            draw_list.add_text(ImVec2(at[0] + _SELECTED_PX, at[1] + _SELECTED_PX), colour, selected.name)
+            draw_edged_text(draw_list, at[0] + _SELECTED_PX, at[1] + _SELECTED_PX, colour, selected.name)
             return
         towards = at - (np.array(clip[:2]) + clip[2:]) / 2
         towards = towards / np.linalg.norm(towards)
@@ -278,7 +284,8 @@ def _draw_arrow(draw_list: imgui.ImDrawList, towards: Float, clip: Edges, colour
     draw_list.add_triangle_filled(ImVec2(*tip), ImVec2(*left), ImVec2(*right), colour)
     size = imgui.calc_text_size(label)
     beside = base - _MARGIN * towards - np.array([size.x, size.y]) * (0.5 + 0.5 * towards)
-    draw_list.add_text(ImVec2(*np.clip(beside, clip[:2], [clip[2] - size.x, clip[3] - size.y])), colour, label)
+    corner = np.clip(beside, clip[:2], [clip[2] - size.x, clip[3] - size.y])
+    draw_edged_text(draw_list, *corner.tolist(), colour, label)
 
 
 def _draw_readout(session: Session, position: Float) -> None:
