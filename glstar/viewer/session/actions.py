@@ -216,6 +216,25 @@ _VIEW: dict[Action, Callable[[Session], None]] = {
 }
 
 
+# What an action needs besides a window.
+_NEEDS_LINK = frozenset({Action.RECORD_LINK, Action.EXPORT_LINK, Action.DISCONNECT, Action.LIVE})
+_NEEDS_IMAGE = frozenset(
+    {Action.SAVE_FRAME, Action.EXPORT, Action.SAVE_PICTURE, Action.SAVE_PLAIN_PICTURE, Action.COPY_PICTURE}
+    | {Action.VIDEO, Action.VIDEO_OF_RANGE, Action.FIND, Action.FIT_STRETCH, Action.BLINK_NOISE}
+)
+
+
+def is_possible(action: AnyAction, session: Session) -> bool:
+    """Return whether an action can do anything now: the others are grey in the menu."""
+    if action in _NEEDS_LINK:
+        return session.live is not None
+    if action in _COMPARISON or action is Action.SAVE_VIEW:
+        return session.comparison.images is not None
+    if action in _NEEDS_IMAGE:
+        return session.scene is not None or session.video is not None
+    return session.head is not None or action not in _HEAD
+
+
 def is_on(action: AnyAction, session: Session) -> bool:
     """Return whether the setting of an action is on: the tick in the menu."""
     if isinstance(action, Overlay):

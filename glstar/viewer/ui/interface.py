@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl import Context, Framebuffer
 from glstar.viewer.picture.content import Display
-from glstar.viewer.session.actions import is_on, perform
+from glstar.viewer.session.actions import is_on, is_possible, perform
 from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.session.memory import Notification, SettingsHistory
 from glstar.viewer.session.saving import PictureAction, save_problem_report, save_settings, unused_path
@@ -312,7 +312,8 @@ class Interface:
             if imgui.begin_menu(menu):
                 for key in (key for key in KEYS if key.menu == menu):
                     shortcut = shown_chord(key.chords[0]) if key.chords else ""
-                    if imgui.menu_item(key.label, shortcut, is_on(key.action, self.session))[0]:
+                    is_enabled = is_possible(key.action, self.session)
+                    if imgui.menu_item(key.label, shortcut, is_on(key.action, self.session), is_enabled)[0]:
                         self.perform(key.action)
                 imgui.end_menu()
         flight = self.session.flight

@@ -1,6 +1,7 @@
 """The image panel: the picture with its overlays, zoom and pan by mouse, and the readout under the mouse."""
 
 from math import degrees
+from typing import NamedTuple
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -14,6 +15,7 @@ from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.content import Display, PanelContent, PanelPicture, Picture, WindowPlace
 from glstar.viewer.picture.fitting import TrailResiduals
+from glstar.viewer.picture.view import ImageView
 from glstar.viewer.session.actions import select_object
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection, star_at
@@ -39,6 +41,8 @@ _SELECTED_PX = 14.0
 _MARGIN = 10.0
 # Red, green, blue and opacity of the veil over a live sky that is out of date.
 _VEIL = (0.45, 0.46, 0.48, 0.55)
+# Red, green, blue and opacity behind the name of the selected object.
+_PLATE = (0.0, 0.0, 0.0, 0.5)
 # Opacity of the background of a message over the image.
 _BANNER_OPACITY = 0.85
 
@@ -101,10 +105,12 @@ class ImagePanel:
         if texture is not None:
             _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
-        self._draw_overlays(session, draw_list, corner, clip)
+        mark = _SelectedMark.of(session, self._selection, corner, clip)
+        self._draw_overlays(session, draw_list, corner, clip, None if mark is None else mark.region(view, corner))
         if labelled:
             draw_comparison_labels(session, draw_list, corner, clip)
-        _draw_selected(session, self._selection, draw_list, corner, clip)
+        if mark is not None:
+            mark.draw(draw_list)
         if session.view.pixel_grid:
             draw_pixel_grid(session, draw_list, corner, clip)
         if session.stale_s is not None:
@@ -145,7 +151,15 @@ class ImagePanel:
         picture = Picture.of(shown, view, session.stretch, size_px, scale=scale, night=night)
         return self._picture.show(picture, inputs, _place(corner, scale) if is_lowest else None)
 
-    def _draw_overlays(self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
+    def _draw_overlays(
+        self,
+        session: Session,
+        draw_list: imgui.ImDrawList,
+        corner: Float,
+        clip: Edges,
+        reserved: ImageRegion | None,
+    ) -> None:
+        """Draw the overlays, with no label in a reserved part of the image."""
         scene, view = session.scene, session.view
         if scene is None or session.loaded is None or not session.shown_overlays:
             return
@@ -166,6 +180,7 @@ class ImagePanel:
             zoom=view.zoom,
             beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
             residuals=residuals if isinstance(residuals, TrailResiduals) else None,
+            reserved=reserved,
         )
 
         def to_screen(xy_px: ArrayLike) -> Float:
@@ -249,43 +264,57 @@ def _select_star(session: Session, selection: Selection, position: Float) -> Non
     select_object(session, selection, None if star is None else search.star(star.star_id))
 
 
-def _draw_selected(
-    session: Session, selection: Selection, draw_list: imgui.ImDrawList, corner: Float, clip: Edges
-) -> None:
-    """Draw a ring around the selected object, or an arrow at the edge of the panel towards it."""
-    selected, scene, simulator = selection.selected, session.scene, session.image.simulator
-    if selected is None or scene is None or simulator is None:
-        return
-    place = selection.place(simulator, scene)
-    if place is None:
-        return
-    colour = imgui.get_color_u32(accent())
-    towards = np.array([place.right, place.down])
-    if place.on_image:
-        at = session.view.to_screen([place.x_px, place.y_px]) + corner
-        inside = clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]
-        if inside:
-            draw_list.add_circle(ImVec2(*at), _SELECTED_PX, colour, 0, 1.5)
-            draw_edged_text(draw_list, at[0] + _SELECTED_PX, at[1] + _SELECTED_PX, colour, selected.name)
-            return
-        towards = at - (np.array(clip[:2]) + clip[2:]) / 2
-        towards = towards / np.linalg.norm(towards)
-    _draw_arrow(draw_list, towards, clip, colour, selected.name)
+class _SelectedMark(NamedTuple):
+    """How the selected object is marked, screen px: a ring where it is, or the tip of an arrow towards it."""
 
+    at: Float  # (2,) centre of the ring, or tip of the arrow
+    towards: Float | None  # (2,) unit vector of the arrow; None for a ring
+    name: str
+    corner: Float  # (2,) top left of its name
+    size: Float  # (2,) of its name
 
-def _draw_arrow(draw_list: imgui.ImDrawList, towards: Float, clip: Edges, colour: int, label: str) -> None:
-    """Draw an arrow at the edge of a rectangle in a direction from its middle, with a label inside."""
-    middle = (np.array(clip[:2]) + clip[2:]) / 2
-    half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
-    tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
-    across = np.array([-towards[1], towards[0]])
-    base = tip - _SELECTED_PX * towards
-    left, right = base + across * _SELECTED_PX / 2, base - across * _SELECTED_PX / 2
-    draw_list.add_triangle_filled(ImVec2(*tip), ImVec2(*left), ImVec2(*right), colour)
-    size = imgui.calc_text_size(label)
-    beside = base - _MARGIN * towards - np.array([size.x, size.y]) * (0.5 + 0.5 * towards)
-    corner = np.clip(beside, clip[:2], [clip[2] - size.x, clip[3] - size.y])
-    draw_edged_text(draw_list, *corner.tolist(), colour, label)
+    @classmethod
+    def of(cls, session: Session, selection: Selection, corner: Float, clip: Edges) -> "_SelectedMark | None":
+        """Return the mark in a panel, or None without a selected object; `corner` (2,), `clip`: of the panel."""
+        selected, scene, simulator = selection.selected, session.scene, session.image.simulator
+        if selected is None or scene is None or simulator is None:
+            return None
+        place = selection.place(simulator, scene)
+        if place is None:
+            return None
+        size = imgui.calc_text_size(selected.name)
+        size_px = np.array([size.x, size.y])
+        towards = np.array([place.right, place.down])
+        middle = (np.array(clip[:2]) + clip[2:]) / 2
+        if place.on_image:
+            at = session.view.to_screen([place.x_px, place.y_px]) + corner
+            if clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]:
+                beside = np.clip(at + _SELECTED_PX, clip[:2], np.array(clip[2:]) - size_px)
+                return cls(at, None, selected.name, beside, size_px)
+            towards = (at - middle) / np.linalg.norm(at - middle)
+        half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
+        tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
+        beside = tip - (_SELECTED_PX + _MARGIN) * towards - size_px * (0.5 + 0.5 * towards)
+        return cls(tip, towards, selected.name, np.clip(beside, clip[:2], np.array(clip[2:]) - size_px), size_px)
+
+    def region(self, view: ImageView, corner: Float) -> ImageRegion:
+        """Return the part of the image that its name covers; `corner` (2,): of the panel."""
+        first, last = view.to_picture([self.corner - corner, self.corner + self.size - corner]).tolist()
+        return ImageRegion(*first, *last)
+
+    def draw(self, draw_list: imgui.ImDrawList) -> None:
+        """Draw the ring or the arrow, and the name."""
+        colour = imgui.get_color_u32(accent())
+        if self.towards is None:
+            draw_list.add_circle(ImVec2(*self.at), _SELECTED_PX, colour, 0, 1.5)
+        else:
+            across = np.array([-self.towards[1], self.towards[0]]) * _SELECTED_PX / 2
+            base = self.at - _SELECTED_PX * self.towards
+            draw_list.add_triangle_filled(ImVec2(*self.at), ImVec2(*(base + across)), ImVec2(*(base - across)), colour)
+        # On a plate, because beside the Moon the sky is white.
+        first, last = self.corner - 2, self.corner + self.size + 2
+        draw_list.add_rect_filled(ImVec2(*first), ImVec2(*last), imgui.get_color_u32(_PLATE), 3.0)
+        draw_edged_text(draw_list, float(self.corner[0]), float(self.corner[1]), colour, self.name)
 
 
 def _draw_readout(session: Session, position: Float) -> None:

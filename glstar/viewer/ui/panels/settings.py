@@ -6,7 +6,7 @@ from math import degrees
 from pathlib import Path
 from typing import Any, get_args
 
-from imgui_bundle import ImVec4, imgui
+from imgui_bundle import imgui
 
 from glstar.camera.exposure import Readout, Stack, Trail
 from glstar.camera.presets import camera_presets, sensor_presets
@@ -17,14 +17,11 @@ from glstar.flight.gimbal import GimbalMode
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.flight.loaded import AttitudeChoices
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import draw_choice
+from glstar.viewer.ui.theme import draw_choice, draw_slider
 
-_LOGARITHMIC = int(imgui.SliderFlags_.logarithmic)
 # Width of a control over that of the panel; its label takes the rest.
 _WIDTH = 0.52
 
-# Opacity of the grab of a slider, so that the value under it can be read.
-_GRAB_OPACITY = 0.45
 # Groups of the sensor's effects that are closed at first, by stage.
 _GROUPS = {
     Stage.STARS: "Star images",
@@ -71,8 +68,6 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     config = session.config
     changes: dict[str, Any] = {}
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
-    imgui.push_style_color(int(imgui.Col_.slider_grab), _translucent(imgui.Col_.slider_grab))
-    imgui.push_style_color(int(imgui.Col_.slider_grab_active), _translucent(imgui.Col_.slider_grab_active))
     if _heading("Exposure"):
         _sliders(_EXPOSURE, config, changes)
         if config.exposure.readout_s:
@@ -93,7 +88,6 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
         _sky(config, effects, changes)
     if _heading("Mount"):
         _mount(config, changes)
-    imgui.pop_style_color(2)
     imgui.pop_item_width()
     if changes:
         session.change(**changes)
@@ -104,12 +98,6 @@ def _heading(title: str, *, is_open: bool = True) -> bool:
     flags = imgui.TreeNodeFlags_.default_open if is_open else imgui.TreeNodeFlags_.none
     # Another identity than a control of the same name has, as of "Exposure" and "Sky".
     return bool(imgui.collapsing_header(f"{title}##heading", int(flags)))
-
-
-def _translucent(colour: int) -> ImVec4:
-    """Return a colour through which the value of a slider can be read."""
-    opaque = imgui.get_style_color_vec4(colour)
-    return ImVec4(opaque.x, opaque.y, opaque.z, _GRAB_OPACITY)
 
 
 def _groups(effects: Sequence[Effect], noise: NoiseModel) -> dict[str, list[Effect]]:
@@ -181,12 +169,11 @@ def _slider(
     default: object = None,
     allowed: str = "",
 ) -> None:
-    new: float
-    if integer:
-        changed, new = imgui.slider_int(control.label, int(value), int(control.lowest), int(control.highest))
-    else:
-        flags = _LOGARITHMIC if control.logarithmic else 0
-        changed, new = imgui.slider_float(control.label, value, control.lowest, control.highest, control.form, flags)
+    form = "%d" if integer else control.form
+    changed, new = draw_slider(
+        control.label, value, control.lowest, control.highest, form, logarithmic=control.logarithmic
+    )
+    if not integer:
         # Sliders work in float32: the six digits that the user sees are meant.
         new = float(f"{new:.6g}")
     _about(key, value, changes, default=default, allowed=f"{allowed}\nCtrl+click to type a number".strip())
@@ -247,6 +234,7 @@ def _camera(config: Config, changes: dict[str, Any]) -> None:
     shown = current if current in presets else "as in the settings"
     if name := draw_choice("Preset", shown, presets, current):
         changes["camera.preset"] = name
+    imgui.set_item_tooltip(shown)  # the control may be too narrow for it
     camera = config.camera()
     imgui.text_disabled(f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.1f} px")
 
