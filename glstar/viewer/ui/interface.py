@@ -19,6 +19,7 @@ from glstar.viewer.ui.calibration import PHOTO_SUFFIXES, CalibrateWindow
 from glstar.viewer.ui.dialogs import ConnectDialog, ExportDialog, FileChooser, MissingDialog, VideoDialog
 from glstar.viewer.ui.guide import ManualWindow, Tour, draw_help, draw_welcome
 from glstar.viewer.ui.layout import OBJECT, Panels
+from glstar.viewer.ui.painting import Rect, WindowPainter
 from glstar.viewer.ui.panels.image import ImagePanel
 from glstar.viewer.ui.search import CommandPalette, FindWindow
 from glstar.viewer.ui.status import draw_notifications, draw_status_bar
@@ -120,7 +121,6 @@ class Interface:
         self.text_scale = 1.0  # Size of the text that the user has chosen
         # Those of the last frame: a paused window is drawn again when they change.
         self.drawn_notifications: list[Notification] = []
-        self._context = context
         self._imgui = imgui.create_context()
         self._implot = implot.create_context()
         io = imgui.get_io()
@@ -130,6 +130,7 @@ class Interface:
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
+        self.painter = WindowPainter(context)
         self.selection = Selection()
         self._image = ImagePanel(self._display, self.selection)
         has_layout = layout is not None and layout.exists()
@@ -207,16 +208,14 @@ class Interface:
         """Draw the interface that `frame` built; `size`: its width and height, px."""
         times = self.session.times
         surface = imgui.get_style_color_vec4(imgui.Col_.window_bg)
+        colour = (surface.x, surface.y, surface.z)
         with times.span("presenting"):
-            target.use()
-            self._context.viewport = 0, 0, *size
-            self._context.clear(surface.x, surface.y, surface.z, 1.0)
+            picture_px = self._image.new_picture_px
+            copy = self.painter.begin(size, colour, None if picture_px is None else Rect(*picture_px))
         with times.span("drawing"):
-            self._image.paint(target, size, (surface.x, surface.y, surface.z))
+            self._image.paint(copy, size, colour)
         with times.span("presenting"):
-            target.use()
-            self._context.viewport = 0, 0, *size
-            imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
+            self.painter.finish(target)
 
     @property
     def visible_px(self) -> tuple[int, int, int, int] | None:
@@ -329,6 +328,7 @@ class Interface:
         """Release the interface's objects on the GPU and in imgui; the session stays the caller's."""
         self.files.close()
         self.calibration.close()
+        self.painter.close()
         self._display.close()
         imgui.backends.opengl3_shutdown()
         implot.destroy_context(self._implot)

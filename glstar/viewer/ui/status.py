@@ -180,11 +180,12 @@ def _exposure_text(scene: Scene) -> str:
 
 def _draw_time(loaded: LoadedFlight) -> None:
     head = loaded.head
-    imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
+    digits = 1 if head.playing else 3  # the others could not be read while it plays
+    imgui.text(f"{format_utc(head.utc_s)[: 20 + digits]}Z")
     if loaded.flight.time_offset_s:
-        _item(f"camera {format_utc(head.utc_s + loaded.flight.time_offset_s)[11:23]}Z")
+        _item(f"camera {format_utc(head.utc_s + loaded.flight.time_offset_s)[11 : 20 + digits]}Z")
     if not head.grows:
-        _item(f"{head.second:.3f} / {head.length_s:.1f} s")
+        _item(f"{head.second:.{digits}f} / {head.length_s:.1f} s")
     if not head.live:
         grey = imgui.get_style_color_vec4(imgui.Col_.text_disabled)
         _item(f"x{head.speed:g}{'' if head.playing else ' paused'}", None if head.playing else grey)

@@ -1,6 +1,6 @@
 """The image panel: the picture with its overlays, zoom and pan by mouse, and the readout under the mouse."""
 
-from math import degrees
+from math import ceil, degrees, floor
 from typing import NamedTuple
 
 import numpy as np
@@ -58,11 +58,18 @@ class ImagePanel:
         # The visible part of the picture: left, top, width, height in px of the window's framebuffer, and the position
         # of the panel's corner there; None if there is no picture.
         self._visible: tuple[tuple[int, int, int, int], tuple[int, int]] | None = None
+        # Left, top, right and bottom of the panel, px of the framebuffer.
+        self._panel_px = (0, 0, 0, 0)
 
     @property
     def visible_px(self) -> tuple[int, int, int, int] | None:
         """Left, top, width and height of the visible part of the picture, px of the window's framebuffer."""
         return None if self._visible is None else self._visible[0]
+
+    @property
+    def new_picture_px(self) -> tuple[int, int, int, int] | None:
+        """Left, top, right and bottom of the panel, px of the framebuffer, if its picture is new; None otherwise."""
+        return self._panel_px if self._picture.is_new else None
 
     def plain_picture(self) -> NDArray[np.uint8] | None:
         """Return the visible part of the picture without overlays.
@@ -101,6 +108,8 @@ class ImagePanel:
         self._take_mouse(session, corner, hovered=hovered)
         texture = self._show(session, shown, corner, (round(width * scale), round(height * scale)), is_lowest=is_lowest)
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
+        left, top, right, bottom = (edge * scale for edge in clip)
+        self._panel_px = floor(left), floor(top), ceil(right), ceil(bottom)
         edges = view.edges(*shown.size_px)
         if texture is not None:
             _put(draw_list, texture, edges, corner, (width, height))

@@ -10,7 +10,7 @@ from imgui_bundle import imgui
 
 from glstar.camera.exposure import Readout, Stack, Trail
 from glstar.camera.presets import camera_presets, sensor_presets
-from glstar.camera.sensor.sensor import NoiseModel
+from glstar.camera.sensor.sensor import NoiseModel, Sensor
 from glstar.config import Config
 from glstar.config.sky import HORIZONS
 from glstar.flight.gimbal import GimbalMode
@@ -81,7 +81,7 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
         _camera(config, changes)
     if _heading("Sensor"):
         _sensor(config, effects, changes)
-    for title, group in _groups(effects, config.sensor().noise).items():
+    for title, group in _groups(effects, _sensor_of(config).noise).items():
         if _heading(title, is_open=False):
             _effects(group, config, changes)
     if _heading("Sky"):
@@ -190,7 +190,7 @@ def _choice(key: str, label: str, value: str, choices: Sequence[str], changes: d
 
 def _effects(effects: Sequence[Effect], config: Config, changes: dict[str, Any]) -> None:
     for effect in effects:
-        values = effect.values(config.sensor())
+        values = effect.values(_sensor_of(config))
         for key in effect.keys:
             if key.control is not None:
                 _effect_key(f"{effect.section}.{key.name}", key, key.control, values[key.name], changes)
@@ -207,9 +207,15 @@ def _effect_key(dotted: str, key: Key, control: Control, value: Any, changes: di
 
 
 @lru_cache(maxsize=2)
+def _sensor_of(config: Config) -> Sensor:
+    """Return the sensor of settings: every group of controls needs it in every frame."""
+    return config.sensor()
+
+
+@lru_cache(maxsize=2)
 def _values(config: Config) -> dict[str, float]:
     """Return the value of each slider by dotted key."""
-    mount, sensor = config.mount(), config.sensor()
+    mount, sensor = config.mount(), _sensor_of(config)
     values: dict[str, float] = {}
     for dotted in (*_EXPOSURE, *_SENSOR, *_SKY, *_MOUNT):
         section, _, key = dotted.partition(".")
@@ -241,7 +247,7 @@ def _camera(config: Config, changes: dict[str, Any]) -> None:
 
 def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
     """Draw the noise model, the presets of sensors, and the keys of the noise model."""
-    noise = config.sensor().noise
+    noise = _sensor_of(config).noise
     _choice("sensor.noise", "Noise model", noise, get_args(NoiseModel), changes)
     current = config.resolved()["sensor"].get("preset")
     modes = {mode.name: mode for preset in sensor_presets().values() for mode in preset.modes}
@@ -252,7 +258,7 @@ def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) 
     _sliders(_SENSOR if noise == "paper" else _ELECTRONS, config, changes)
     shown = [effect for effect in effects if effect.section == "sensor" and effect.noise_model in (None, noise)]
     _effects([effect for effect in shown if effect.stage not in _GROUPS], config, changes)
-    is_integrated = config.sensor().pixel == "integrated"
+    is_integrated = _sensor_of(config).pixel == "integrated"
     _switch("sensor.pixel", "Integrate stars over the pixel's area", is_integrated, "integrated", "sampled", changes)
 
 

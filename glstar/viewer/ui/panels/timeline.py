@@ -347,7 +347,12 @@ class Timeline:
             bands.append(("##exposures", self._camera_exposures(head), palette.exposures))
         style = palette.shown if gap is None else palette.missing
         bands.append(("##shown", Bands.of(opens_s, opens_s + shown.span_s), style))
-        return _Verticals(palette, bands, np.array(head.markers) - head.origin_s, np.array([head.second]))
+        head_s = head.second
+        if head.playing:
+            # From pixel to pixel: between two of them the plots stay, and are not painted again.
+            pixel_s = self.axis.span_s / max(self._width_px, 1.0)
+            head_s = round(head_s / pixel_s) * pixel_s
+        return _Verticals(palette, bands, np.array(head.markers) - head.origin_s, np.array([head_s]))
 
     def _light_until(self, last_s: float) -> dict[str, Bands]:
         """Return day and twilight up to a time; computed again when a live flight has outgrown them."""
