@@ -12,7 +12,7 @@ from tests.support.realwindow import GLSTAR, TOP_PX, Places, RealWindow, differ,
 
 def open_bundled_flight(window: RealWindow, places: Places) -> np.ndarray:
     """Click on the welcome panel's button, the first of "Try"; return the screen with the flight."""
-    button = places.middle, int(places.height * 0.36 + 72 * places.scale)
+    button = places.middle, int(places.height * 0.36 + 115 * places.scale)
 
     def click() -> None:
         window.click(*button)

@@ -459,14 +459,14 @@ class Overlays:
         centroid_vmag_limit: float = 5.0,
         beliefs: tuple[Belief, ...] = (),
         residuals: TrailResiduals | None = None,
-        reserved: ImageRegion | None = None,
+        reserved: tuple[ImageRegion, ...] = (),
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
         `pixels`: see `DrawingInputs`, as the other inputs; without them the stars whose peak should saturate are
         marked.  `region`: the visible part of the image, by default all of it: lines end and grids are labelled at its
         edge.  `zoom`: screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on
-        it.  `reserved`: a part of the image without labels.
+        it.  `reserved`: parts of the image without labels.
         """
         key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals, reserved)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
@@ -483,8 +483,8 @@ class Overlays:
             residuals=residuals,
         )
         canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
-        if reserved is not None:
-            canvas.reserve(reserved)
+        for part in reserved:
+            canvas.reserve(part)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)
         curves: dict[str, dict[str, Curves]] = {"eq": {}, "ned": {}}
         for overlay in reversed(by_rank):

@@ -192,6 +192,16 @@ def _zoom(session: Session, factor: float) -> None:
     session.view.zoom_at(session.view.middle, factor)
 
 
+def _look_around(session: Session) -> None:
+    if session.look.is_on:
+        session.look.is_on = False
+        session.view.fit()
+    elif session.comparison.mode is not ComparisonMode.OFF:
+        session.notify("looking around shows no real images: end the comparison first")
+    else:
+        session.look.begin(session.scene)
+
+
 _VIEW: dict[Action, Callable[[Session], None]] = {
     Action.FIT: lambda session: session.view.fit(),
     Action.ONE_TO_ONE: lambda session: session.view.one_to_one(),
@@ -205,6 +215,7 @@ _VIEW: dict[Action, Callable[[Session], None]] = {
     Action.COLOURS: _next_colours,
     Action.PIXEL_GRID: lambda session: setattr(session.view, "pixel_grid", not session.view.pixel_grid),
     Action.PROCESSED: _show_processed,
+    Action.LOOK: _look_around,
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
     Action.RECORD_LINK: record_link,
@@ -220,7 +231,7 @@ _VIEW: dict[Action, Callable[[Session], None]] = {
 _NEEDS_LINK = frozenset({Action.RECORD_LINK, Action.EXPORT_LINK, Action.DISCONNECT, Action.LIVE})
 _NEEDS_IMAGE = frozenset(
     {Action.SAVE_FRAME, Action.EXPORT, Action.SAVE_PICTURE, Action.SAVE_PLAIN_PICTURE, Action.COPY_PICTURE}
-    | {Action.VIDEO, Action.VIDEO_OF_RANGE, Action.FIND, Action.FIT_STRETCH, Action.BLINK_NOISE}
+    | {Action.VIDEO, Action.VIDEO_OF_RANGE, Action.FIND, Action.FIT_STRETCH, Action.LOOK, Action.BLINK_NOISE}
 )
 
 
@@ -244,6 +255,7 @@ def is_on(action: AnyAction, session: Session) -> bool:
     head = session.head
     return {
         Action.NIGHT: session.night,
+        Action.LOOK: session.look.is_on,
         Action.PROCESSED: session.shows_processed,
         Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,

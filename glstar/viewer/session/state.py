@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from math import floor
+from math import floor, pi, radians
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,9 @@ from glstar.render.simulator import Simulator
 from glstar.telemetry import is_bag_directory
 from glstar.viewer.flight import loaded as loadedflight
 from glstar.viewer.flight.live import LiveFlight
+from glstar.viewer.flight.lookaround import LookAround
 from glstar.viewer.flight.navigator import NavigatorView
-from glstar.viewer.flight.playhead import PlayHead, no_exposure
+from glstar.viewer.flight.playhead import Mode, PlayHead, no_exposure
 from glstar.viewer.flight.sky import Conditions, CurrentConditions
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.overlays.table import Overlay
@@ -30,7 +31,7 @@ from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState, ou
 from glstar.viewer.picture.content import PanelContent
 from glstar.viewer.picture.simulated import ImageRequest, SimulatedImage
 from glstar.viewer.picture.view import ImageView, Stretch
-from glstar.viewer.session.memory import Notifications
+from glstar.viewer.session.memory import Notifications, Place
 from glstar.viewer.session.recording import BackgroundExport, Video
 
 # Exposures that no camera records start at a multiple of 1 microsecond, which a command line can name exactly.
@@ -73,6 +74,7 @@ class Session:
         self.notify = self.notifications.add  # Shows a message for some seconds
         self.view = ImageView()
         self.navigator = NavigatorView()
+        self.look = LookAround()  # The camera that the user turns, if it is on
         self.stretch = Stretch.for_sensor(config.sensor())
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
         self.night = False
@@ -94,6 +96,7 @@ class Session:
         self._latest: LatestAttitude | None = None
         self._control: ControlledExposure | None = None
         self._measured: Scene | None = None
+        self._plays: Path | None = None  # The flight that plays when it has been loaded
         # The scene to which the stretch was fitted last.
         self._followed: Scene | None = None
         # A simulator, the exposure time, s, and the gain of the control, and the simulator with them.
@@ -149,7 +152,8 @@ class Session:
         exposure, number = _exposure_to_show(loaded, self.comparison)
         if self._shows_link and self.live is not None and loaded.extend(exposure, self.live.last):
             exposure, number = _exposure_to_show(loaded, self.comparison)
-        shot = self._exposed(Shot(loaded.simulator, exposure, control=self.config.exposure.exposure_control))
+        simulator = self.look.of(loaded.simulator) if self.is_looking else loaded.simulator
+        shot = self._exposed(Shot(simulator, exposure, control=self.config.exposure.exposure_control))
         request = ImageRequest(shot.exposure, number, shot.simulator, self.comparison.is_noiseless)
         drawn = self.image.update(request, playing=head.playing and not head.live)
         self._measure()
@@ -282,6 +286,11 @@ class Session:
         return _status_at(loaded, self.comparison, self.image.gap)
 
     @property
+    def is_looking(self) -> bool:
+        """Whether the image is that of the free camera; real images are compared with the aircraft's own."""
+        return self.look.is_on and self.comparison.mode is ComparisonMode.OFF
+
+    @property
     def conditions(self) -> Conditions | None:
         """The Sun, the Moon and the limiting magnitude of the image shown; None until there is one."""
         return self._current_conditions.of(self.scene, self.head)
@@ -312,6 +321,14 @@ class Session:
         `path`: if it lacks UTC or a site, `missing` says so once it has been read.
         """
         self.loader.read(path, self._own_config, {})
+
+    def open_sky(self, place: Place, utc_s: float) -> None:
+        """Show the sky of a place from a time on, as it moves, with the free camera towards the equator."""
+        path = place.sky(utc_s)
+        self._plays = path
+        self.look.azimuth_rad, self.look.altitude_rad = (pi if place.latitude_deg >= 0 else 0.0), radians(35.0)
+        self.look.is_on = True
+        self.open_flight(path)
 
     @property
     def missing(self) -> loadedflight.MissingInputs | None:
@@ -391,6 +408,9 @@ class Session:
         elif before is not None:
             loaded.continue_from(before)
         self.loaded = loaded
+        if loaded.path is not None and loaded.path == self._plays:
+            self._plays = None
+            loaded.head.mode, loaded.head.playing = Mode.SLIDING, True
         self._opening_error = ""
         self.image.error = ""
         self.comparison.flight_offset_s = loaded.flight.time_offset_s

@@ -16,7 +16,7 @@ from glstar.viewer.session.saving import PictureAction, save_problem_report, sav
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection
 from glstar.viewer.ui.calibration import PHOTO_SUFFIXES, CalibrateWindow
-from glstar.viewer.ui.dialogs import ConnectDialog, ExportDialog, FileChooser, MissingDialog, VideoDialog
+from glstar.viewer.ui.dialogs import ConnectDialog, ExportDialog, FileChooser, MissingDialog, SkyDialog, VideoDialog
 from glstar.viewer.ui.guide import ManualWindow, Tour, draw_help, draw_welcome
 from glstar.viewer.ui.layout import OBJECT, Panels
 from glstar.viewer.ui.painting import Rect, WindowPainter
@@ -41,6 +41,8 @@ _KEY_NAMES = {
     "Page Down": "page_down",
     **{str(digit): f"_{digit}" for digit in range(10)},
 }
+# Any number that no control has.
+_TAB_OWNER = 0x67_6C_73
 _MODIFIERS = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
 
 
@@ -77,6 +79,8 @@ class Keyboard:
             imgui.internal.close_popup_to_level(0, True)
         if self.is_typing or popup:
             return
+        # Tab is an action here: imgui would begin to type into the next field.
+        imgui.internal.set_key_owner(imgui.Key.tab, _TAB_OWNER)
         for key, chords in self._chords:
             for code, modifiers in chords:
                 down = modifiers_here if imgui.is_key_pressed(code, False) else modifiers_now
@@ -91,7 +95,7 @@ def parse_chord(text: str) -> tuple[imgui.Key, int]:
     return code, sum(int(_MODIFIERS[modifier]) for modifier in modifiers)
 
 
-_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour | CalibrateWindow
+_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour | CalibrateWindow | SkyDialog
 
 
 class Interface:
@@ -145,11 +149,13 @@ class Interface:
         self._find = FindWindow(self.selection)
         self._connect = ConnectDialog()
         self._palette = CommandPalette()
+        self.sky = SkyDialog()
         self.calibration = CalibrateWindow(context, self.files)
         self._dialogs: dict[AnyAction, _Asks] = {
             Action.PALETTE: self._palette,
             Action.FIND: self._find,
             Action.CONNECT: self._connect,
+            Action.SKY: self.sky,
             Action.EXPORT: self._exports,
             Action.VIDEO_OF_RANGE: self._videos,
             Action.TOUR: self.tour,
@@ -186,12 +192,13 @@ class Interface:
             self._draw_menus()
             draw_status_bar(session)
             self._panels.draw()
-            draw_welcome(session, self.recent, self.perform)
+            draw_welcome(session, self.recent, self.perform, self.sky.show_now)
         self.drawn_notifications = draw_notifications(session)
         self.files.draw()
         self._exports.draw(session)
         self._videos.draw(session)
         self._missing.draw(session)
+        self.sky.draw(session)
         self._manual.draw()
         self.calibration.draw(session)
         self.tour.draw()

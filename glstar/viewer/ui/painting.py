@@ -148,7 +148,7 @@ def _taken(drawn: imgui.ImDrawList, data: imgui.ImDrawData, size: tuple[int, int
         (left, top), (right, bottom) = np.nan_to_num(ends).tolist()
         rect = rect.common(_px(ImVec4(left - 1, top - 1, right + 1, bottom + 1), data, size))
     content = (vertices, _bytes(drawn.idx_buffer, imgui.INDEX_SIZE), commands)
-    return _Window(drawn._owner_name, rect, content, is_steady)
+    return _Window(drawn._owner_name, rect, content, is_steady)  # noqa: SLF001 - imgui's own name of the field
 
 
 def _bytes(buffer: Any, size: int) -> bytes:

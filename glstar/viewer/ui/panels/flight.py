@@ -343,7 +343,8 @@ class FlightPanel:
             imgui.text_disabled("no attitude at this time: a gap of the log")
             return
         state = flightmap.aircraft_state(loaded.simulator, utc_s)
-        beliefs = session.navigator.beliefs(loaded, session.image.simulator, scene)
+        # Errors are those of the aircraft's camera.
+        beliefs = () if session.is_looking else session.navigator.beliefs(loaded, session.image.simulator, scene)
         _draw_horizon(state, beliefs, night=session.night)
         _draw_numbers(state, beliefs)
         self._map.draw(loaded, state, beliefs, night=session.night)

@@ -43,6 +43,8 @@ _MARGIN = 10.0
 _VEIL = (0.45, 0.46, 0.48, 0.55)
 # Red, green, blue and opacity behind the name of the selected object.
 _PLATE = (0.0, 0.0, 0.0, 0.5)
+# Points of an outline farther away than this are left out, screen px.
+_FAR_PX = 1e5
 # Opacity of the background of a message over the image.
 _BANNER_OPACITY = 0.85
 
@@ -101,6 +103,7 @@ class ImagePanel:
             return
         view = session.view
         scale = imgui.get_io().display_framebuffer_scale.x
+        session.look.resize(width * scale, height * scale)
         view.resize(*shown.size_px, width, height)
         # Mouse input first, so that this frame shows its effect.
         imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
@@ -115,13 +118,21 @@ class ImagePanel:
             _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
         mark = _SelectedMark.of(session, self._selection, corner, clip)
-        self._draw_overlays(session, draw_list, corner, clip, None if mark is None else mark.region(view, corner))
+        reserved = [] if mark is None else [mark.region(view, corner)]
+        if session.is_looking:
+            label_px = imgui.calc_text_size(_look_text(session))
+            top_left = np.array([0.0, height - label_px.y - 2 * _MARGIN])
+            first, last = view.to_picture([top_left, [label_px.x + 2 * _MARGIN, height]]).tolist()
+            reserved.append(ImageRegion(*first, *last))
+        self._draw_overlays(session, draw_list, corner, clip, tuple(reserved))
         if labelled:
             draw_comparison_labels(session, draw_list, corner, clip)
         if mark is not None:
             mark.draw(draw_list)
         if session.view.pixel_grid:
             draw_pixel_grid(session, draw_list, corner, clip)
+        if session.is_looking:
+            _draw_look(session, draw_list, corner, clip)
         if session.stale_s is not None:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
@@ -133,6 +144,9 @@ class ImagePanel:
             _banner(draw_list, message, clip)
 
     def _take_mouse(self, session: Session, corner: Float, *, hovered: bool) -> None:
+        if session.is_looking:
+            self._look_around(session, corner, hovered=hovered)
+            return
         io, view = imgui.get_io(), session.view
         if hovered and io.mouse_wheel:
             view.zoom_at(_mouse() - corner, _WHEEL**io.mouse_wheel)
@@ -147,6 +161,20 @@ class ImagePanel:
             view.fit()
         elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
             _select_star(session, self._selection, view.to_picture(_mouse() - corner))
+
+    def _look_around(self, session: Session, corner: Float, *, hovered: bool) -> None:
+        """Turn the free camera, change its field of view, or select a star."""
+        io, view, look = imgui.get_io(), session.view, session.look
+        view.fit()
+        at = view.to_picture(_mouse() - corner)
+        if hovered and io.mouse_wheel:
+            look.zoom(_WHEEL**io.mouse_wheel)
+        if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
+            look.turn(io.mouse_delta.x / view.zoom, io.mouse_delta.y / view.zoom)
+        if hovered and imgui.is_mouse_double_clicked(0) and session.scene is not None:
+            look.look_at(at, session.scene)
+        elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
+            _select_star(session, self._selection, at)
 
     def _show(
         self, session: Session, shown: PanelContent, corner: Float, size_px: tuple[int, int], *, is_lowest: bool
@@ -166,7 +194,7 @@ class ImagePanel:
         draw_list: imgui.ImDrawList,
         corner: Float,
         clip: Edges,
-        reserved: ImageRegion | None,
+        reserved: tuple[ImageRegion, ...],
     ) -> None:
         """Draw the overlays, with no label in a reserved part of the image."""
         scene, view = session.scene, session.view
@@ -187,7 +215,9 @@ class ImagePanel:
             pixels=session.image.tested if Overlay.SATURATED in session.shown_overlays else None,
             region=region,
             zoom=view.zoom,
-            beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
+            beliefs=()
+            if session.is_looking
+            else session.navigator.beliefs(session.loaded, session.image.simulator, scene),
             residuals=residuals if isinstance(residuals, TrailResiduals) else None,
             reserved=reserved,
         )
@@ -262,6 +292,28 @@ def _banner(draw_list: imgui.ImDrawList, text: str, clip: Edges) -> None:
     imgui.text_colored(error(), text)
     imgui.pop_text_wrap_pos()
     imgui.pop_clip_rect()
+
+
+def _look_text(session: Session) -> str:
+    return f"{session.look.label}   Tab: the aircraft's camera"
+
+
+def _draw_look(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
+    """Write where the free camera looks, and draw the border of the aircraft's own image."""
+    scene, loaded = session.scene, session.loaded
+    if scene is None or loaded is None:
+        return
+    colour = imgui.get_color_u32(accent())
+    outline = session.view.to_screen(session.look.outline_px(loaded.simulator, scene)) + corner
+    far = np.abs(outline).max(axis=1, initial=0.0) > _FAR_PX
+    draw_list.push_clip_rect(ImVec2(*clip[:2]), ImVec2(*clip[2:]), True)
+    for (x, y), (to_x, to_y), hidden, to_hidden in zip(outline, outline[1:], far, far[1:], strict=False):
+        if not (hidden or to_hidden) and np.isfinite([x, y, to_x, to_y]).all():
+            draw_list.add_line(ImVec2(x, y), ImVec2(to_x, to_y), colour, 1.5)
+    draw_list.pop_clip_rect()
+    text = _look_text(session)
+    size = imgui.calc_text_size(text)
+    draw_edged_text(draw_list, clip[0] + _MARGIN, clip[3] - size.y - _MARGIN, colour, text)
 
 
 def _select_star(session: Session, selection: Selection, position: Float) -> None:

@@ -328,7 +328,7 @@ class Timeline:
         if title not in self._values:
             return []
         lowest, highest, height_px = self._values[title]
-        least = (highest - lowest) * 1.2 * imgui.get_text_line_height() / max(height_px, 1.0)
+        least = (highest - lowest) * 0.9 * imgui.get_text_line_height() / max(height_px, 1.0)
         step = 10.0 ** floor(log10(least))
         step *= next(factor for factor in (1, 2, 5, 10) if factor * step >= least)
         first, last = ceil(lowest / step), floor(highest / step)
