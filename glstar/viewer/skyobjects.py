@@ -22,10 +22,12 @@ from glstar.render.readout.rows import recorded_positions
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.simulator import Simulator
 from glstar.render.truth.frame import frame_truth
+from glstar.sky.catalogue.messier import messier_objects
 from glstar.sky.catalogue.names import constellations, proper_names
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.sky.catalogue.starfield import StarField
-from glstar.sky.observed.solarsystem import BODIES, observed_bodies
+from glstar.sky.observed.risings import RiseAndSet, body_rise_and_set, star_rise_and_set
+from glstar.sky.observed.solarsystem import BODIES, Body, observed_bodies
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
@@ -34,6 +36,9 @@ from glstar.viewer.overlays.canvas import ned_to_camera_matrix
 
 # Interval at which a flight is searched for an object, s: a frame of 50 deg takes as long to pass at 200 deg/s.
 _SEARCH_STEP_S = 0.25
+# Most times at which a flight is searched, and how long rise and set are kept, s.
+_MOST_TIMES = 3600
+_RISING_S = 600.0
 # Times per call, which must lie within minutes of each other.
 _TIMES_AT_ONCE = 400
 
@@ -223,6 +228,7 @@ class ObjectKind(StrEnum):
     BODY = "body"
     CONSTELLATION = "constellation"
     STAR = "star"
+    DEEP_SKY = "deep sky"
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +239,8 @@ class SkyObject:
     name: str  # Proper name, or designation, or catalogue number: never empty
     other_names: tuple[str, ...] = ()  # Its other designations, such as ``"α CMa"`` and ``"HR 2491"``
     star_id: int = 0  # Number of a star in its catalogue; 0 for other objects
-    vmag: float = float("nan")  # V magnitude of a star; NaN for other objects
+    vmag: float = float("nan")  # V magnitude of a star or of a deep-sky object; NaN for other objects
+    number: int = 0  # Messier's; 0 for other objects
 
     @property
     def label(self) -> str:
@@ -245,7 +252,7 @@ class SkySearch:
     """Finds objects by their names; `catalogue`: the stars that can be found."""
 
     def __init__(self, catalogue: StarCatalogue) -> None:
-        self._objects = [*_bodies(), *_constellations(), *_stars(catalogue)]
+        self._objects = [*_bodies(), *_constellations(), *_stars(catalogue), *_deep_sky()]
         self._keys = [tuple(_normalized(name) for name in (each.name, *each.other_names)) for each in self._objects]
         self._by_number = {each.star_id: each for each in self._objects if each.star_id}
 
@@ -290,7 +297,10 @@ def object_direction_eq(target: SkyObject, sky: Sky, stars: StarField, utc_s: fl
         if not index.size:
             raise KeyError(target.label)
         return np.asarray(stars.direction_eq[index[0]])
-    ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == target.name)
+    if target.kind is ObjectKind.DEEP_SKY:
+        ra_rad, dec_rad = messier_objects()[target.number - 1][-2:]
+    else:
+        ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == target.name)
     return np.asarray(ASTROMETRY["erfa"].apparent_directions([ra_rad], [dec_rad], [0.0], [0.0], stars.epoch_utc_s)[0])
 
 
@@ -313,6 +323,19 @@ def _stars(catalogue: StarCatalogue) -> list[SkyObject]:
         first, *others = dict.fromkeys(names)
         stars.append(SkyObject(ObjectKind.STAR, first, tuple(others), star_id, vmag))
     return stars
+
+
+def _deep_sky() -> list[SkyObject]:
+    return [
+        SkyObject(
+            ObjectKind.DEEP_SKY,
+            each.label,
+            tuple(filter(None, (each.name, each.designation, each.kind))),
+            vmag=each.vmag,
+            number=each.number,
+        )
+        for each in messier_objects()
+    ]
 
 
 def _normalized(name: str) -> str:
@@ -360,6 +383,8 @@ class Selection:
         self._search: tuple[StarCatalogue, SkySearch] | None = None
         self._direction: tuple[tuple[object, ...], Float | None] | None = None
         self._truth: tuple[tuple[object, ...], dict[str, Any] | None] | None = None
+        self._risings: tuple[tuple[object, ...], RiseAndSet] | None = None
+        self._times: tuple[tuple[object, ...], Float] | None = None
 
     def search(self, catalogue: StarCatalogue) -> SkySearch:
         """Return the search of a catalogue, made when it is first needed."""
@@ -404,6 +429,58 @@ class Selection:
         if direction_eq is None:
             return None
         return time_in_image_s(simulator, direction_eq, scene.exposure.stop_utc_s)
+
+    def body(self, simulator: Simulator, scene: Scene) -> Body | None:
+        """Return the selected body as seen in the exposure shown; None if the selection is none."""
+        if self.selected is None or self.selected.kind is not ObjectKind.BODY:
+            return None
+        name = self.selected.name
+        return observed_bodies(simulator.sky, scene.exposure.mid_utc_s, scene.site, (name,))[0]
+
+    def rise_and_set(self, simulator: Simulator, scene: Scene) -> RiseAndSet | None:
+        """Return when the selected object rises and sets next, seen from the site at the exposure shown.
+
+        It is computed again after ten minutes, and when one of the times has passed; None if nothing is selected.
+        """
+        selected, direction_eq = self.selected, self.direction_eq(simulator, scene)
+        if selected is None or direction_eq is None:
+            return None
+        utc_s = scene.exposure.mid_utc_s
+        last = self._risings
+        inputs = (selected, simulator.sky, utc_s // _RISING_S)
+        if last is not None and last[0] == inputs:
+            ends = [end for end in last[1][:2] if end is not None]
+            if all(end > utc_s for end in ends):
+                return last[1]
+        if selected.kind is ObjectKind.BODY:
+            found = body_rise_and_set(simulator.sky, selected.name, utc_s, scene.site)
+        else:
+            found = star_rise_and_set(simulator.sky, direction_eq, utc_s, scene.site)
+        self._risings = inputs, found
+        return found
+
+    def times_in_image_s(self, simulator: Simulator, scene: Scene) -> Float | None:
+        """Return the sampled times at which the selected object is on the image, (n,) UTC seconds since 1970.
+
+        `simulator`: of the aircraft's camera; a quarter of a second apart, more on a flight longer than a quarter of an
+        hour.  Returns None if nothing is selected.
+        """
+        direction_eq = self.direction_eq(simulator, scene)
+        if direction_eq is None:
+            return None
+        inputs = (self.selected, simulator)
+        if self._times is None or self._times[0] != inputs:
+            attitude = simulator.flight.attitude
+            step_s = max(_SEARCH_STEP_S, (attitude.last_s - attitude.first_s) / _MOST_TIMES)
+            times_s = np.arange(attitude.first_s, attitude.last_s, step_s)
+            inside = [np.empty(0)]
+            for first in range(0, len(times_s), _TIMES_AT_ONCE):
+                block_s = times_s[first : first + _TIMES_AT_ONCE]
+                xy_px = simulator.camera.project(simulator.pointing(block_s).to_camera(direction_eq[np.newaxis]))[:, 0]
+                inside.append(block_s[simulator.camera.contains(xy_px)])
+            kept = [at for at in np.concatenate(inside).tolist() if attitude.gap_within(at, at) is None]
+            self._times = inputs, np.array(kept)
+        return self._times[1]
 
     def star_truth(self, scene: Scene, pixels: Pixels) -> dict[str, Any] | None:
         """Return the line of truth of the selected star in the exposure shown.

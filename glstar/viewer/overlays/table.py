@@ -12,6 +12,7 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 from itertools import chain
 from math import isfinite
 from typing import Any, Literal, NamedTuple
@@ -23,7 +24,9 @@ from glstar.render.readout.rows import recorded_positions
 from glstar.render.scene.scene import Scene
 from glstar.render.truth.frame import trail_centroids
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
+from glstar.sky.catalogue.messier import messier_objects
 from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.viewer.overlays.belief import Belief
 from glstar.viewer.overlays.canvas import (
@@ -191,6 +194,25 @@ def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
         (at,) = satellite.camera.project(satellite.shutter[1:2].to_camera(satellite.stars.direction_eq))[0]
         if canvas.region.contains(at):
             canvas.label(satellite.stars.name[0], at.tolist(), (0.0, 0.0))
+
+
+@lru_cache(maxsize=4)
+def _deep_sky_eq(epoch_utc_s: float) -> NDArray[np.float64]:
+    """Return the apparent directions of Messier's objects, (110, 3)."""
+    ra_rad, dec_rad = np.array([(each.ra_rad, each.dec_rad) for each in messier_objects()]).T
+    none = np.zeros(ra_rad.size)
+    return np.asarray(ASTROMETRY["erfa"].apparent_directions(ra_rad, dec_rad, none, none, epoch_utc_s))
+
+
+def _draw_deep_sky(canvas: Canvas, _: DrawingInputs) -> None:
+    """Draw a ring around each of Messier's objects, the brightest first, with its number."""
+    direction_eq = _deep_sky_eq(canvas.scene.stars.epoch_utc_s)
+    xy = canvas.camera.project(canvas.middle.to_camera(direction_eq)[0])
+    visible = np.flatnonzero(canvas.region.contains(xy))
+    canvas.mark(Mark.RING, xy[visible])
+    objects = messier_objects()
+    for i in sorted(visible.tolist(), key=lambda i: objects[i].vmag):
+        canvas.label(objects[i].label, (xy[i] + GAP_SCREEN_PX * canvas.screen_px * 0.7).tolist(), (0.0, 0.0))
 
 
 def _draw_constellation_names(canvas: Canvas, inputs: DrawingInputs) -> None:
@@ -393,6 +415,10 @@ class Overlay(StrEnum):
             curves=SkyCurves("eq", lambda _, inputs: inputs.grids.equatorial),
             draw=_draw_equatorial_labels,
         ),
+    )
+    DEEP_SKY = (
+        "deep-sky objects",
+        OverlaySpec("Deep-sky objects of Messier", "O", 3, (120, 200, 190, 220), 150, draw=_draw_deep_sky),
     )
     AXIS = ("optical axis", OverlaySpec("Optical axis and roll", "A", 1, (250, 92, 92, 230), 255, draw=_draw_axis))
     TICKS = (

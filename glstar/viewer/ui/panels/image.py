@@ -121,8 +121,8 @@ class ImagePanel:
         reserved = [] if mark is None else [mark.region(view, corner)]
         if session.is_looking:
             label_px = imgui.calc_text_size(_look_text(session))
-            top_left = np.array([0.0, height - label_px.y - 2 * _MARGIN])
-            first, last = view.to_picture([top_left, [label_px.x + 2 * _MARGIN, height]]).tolist()
+            box = [[0.0, height - label_px.y - 2 * _MARGIN], [label_px.x + 2 * _MARGIN, height]]
+            first, last = view.to_picture(box).tolist()
             reserved.append(ImageRegion(*first, *last))
         self._draw_overlays(session, draw_list, corner, clip, tuple(reserved))
         if labelled:

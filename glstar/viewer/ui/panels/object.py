@@ -7,6 +7,8 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from numpy.typing import NDArray
 
+from glstar.render.scene.scene import Scene
+from glstar.sky.observed.solarsystem import AU_KM, Body
 from glstar.sky.place.apparent import right_ascension_declination
 from glstar.sky.place.timescale import format_utc
 from glstar.viewer.session.actions import select_object
@@ -14,6 +16,8 @@ from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import CutOut, ObjectPlace, Selection, star_cut_out
 from glstar.viewer.ui.theme import accent, draw_rows, draw_wrapped, scaled
 
+# Distances up to this are written in km, others in astronomical units.
+_FAR_KM = 1e6
 # Height of the profile's plot, and largest side of the cut-out, screen px.
 _PLOT_HEIGHT = 130.0
 _CUT_OUT_SIDE = 200.0
@@ -38,6 +42,9 @@ def draw_object(session: Session, selection: Selection) -> None:
         draw_wrapped(f"{selected.name} is not among the stars drawn: it is fainter than the magnitude limit.")
         return
     _draw_direction(selected.vmag, place, direction_eq)
+    if (body := selection.body(simulator, scene)) is not None:
+        draw_rows("##body", _body_rows(body))
+    draw_rows("##when", _when_rows(session, selection, scene, is_inside=place.on_image and not session.is_looking))
     imgui.separator()
     pixels, tested = session.image.pixels, session.image.tested
     if session.is_playing or pixels is None or tested is None:
@@ -84,6 +91,45 @@ def _draw_direction(vmag: float, place: ObjectPlace, direction_eq: np.ndarray) -
     if place.on_image:
         rows.append(("pixel", f"x {place.x_px:.2f}  y {place.y_px:.2f}"))
     draw_rows("##direction", rows)
+
+
+def _body_rows(body: Body) -> list[tuple[str, str]]:
+    """Return the brightness and the phase of the Sun, the Moon or a planet."""
+    is_near = body.distance_km < _FAR_KM
+    distance = f"{body.distance_km:.0f} km" if is_near else f"{body.distance_km / AU_KM:.4f} au"
+    rows = [("magnitude", f"V {body.light_vmag:.2f}"), ("distance", distance)]
+    if body.name != "Sun":
+        rows.insert(1, ("illuminated", f"{100 * body.illuminated_fraction:.1f} %"))
+        rows.insert(2, ("phase angle", f"{degrees(body.phase_angle_rad):.1f}°"))
+    size_arcmin = 120 * degrees(body.angular_radius_rad)
+    rows.append(("diameter", f"{size_arcmin:.1f}'" if size_arcmin > 1 else f'{60 * size_arcmin:.1f}"'))
+    return rows
+
+
+def _when_rows(session: Session, selection: Selection, scene: Scene, *, is_inside: bool) -> list[tuple[str, str]]:
+    """Return when the selected object rises, sets, and is in the image next.
+
+    `is_inside`: whether it is in the image of the aircraft's camera now.
+    """
+    rows: list[tuple[str, str]] = []
+    loaded, simulator = session.loaded, session.image.simulator
+    if loaded is None or simulator is None:
+        return rows
+    risings = selection.rise_and_set(simulator, scene)
+    if risings is not None:
+        always = "always up" if risings.is_up else "never up"
+        for label, utc_s in (("rises", risings.rise_utc_s), ("sets", risings.set_utc_s)):
+            rows.append((label, always if utc_s is None else f"{format_utc(utc_s)[:19].replace('T', ' ')} UTC"))
+    if is_inside or loaded.is_live:
+        return [*rows, ("in the image", "now")] if is_inside else rows
+    times_s = selection.times_in_image_s(loaded.simulator, scene)
+    if times_s is not None:
+        later_s = times_s[times_s > scene.exposure.stop_utc_s]
+        if later_s.size:
+            rows.append(("in the image next", f"{later_s[0] - loaded.head.origin_s:.1f} s"))
+        else:
+            rows.append(("in the image next", "not any more" if times_s.size else "never in this flight"))
+    return rows
 
 
 def _draw_truth(truth: dict[str, Any]) -> None:
