@@ -36,6 +36,8 @@ from glstar.viewer.overlays.canvas import ned_to_camera_matrix
 
 # Interval at which a flight is searched for an object, s: a frame of 50 deg takes as long to pass at 200 deg/s.
 _SEARCH_STEP_S = 0.25
+# Most objects that are pinned: a panel of the least width has room for their columns.
+_MOST_PINNED = 4
 # Most times at which a flight is searched, and how long rise and set are kept, s.
 _MOST_TIMES = 3600
 _RISING_S = 600.0
@@ -380,6 +382,8 @@ class Selection:
 
     def __init__(self) -> None:
         self.selected: SkyObject | None = None
+        self.pinned: list[SkyObject] = []  # Objects whose figures stay beside those of the selected one
+        self._pinned_places: tuple[tuple[object, ...], list[ObjectPlace | None]] | None = None
         self._search: tuple[StarCatalogue, SkySearch] | None = None
         self._direction: tuple[tuple[object, ...], Float | None] | None = None
         self._truth: tuple[tuple[object, ...], dict[str, Any] | None] | None = None
@@ -422,6 +426,30 @@ class Selection:
         """Return where the selected object is in the exposure shown; None if that is not known."""
         direction_eq = self.direction_eq(simulator, scene)
         return None if direction_eq is None else object_place(scene, direction_eq)
+
+    def pin(self, target: SkyObject) -> None:
+        """Keep an object's figures, or drop them if they are kept; of more than four the oldest is dropped."""
+        if target in self.pinned:
+            self.pinned.remove(target)
+        else:
+            self.pinned = [*self.pinned, target][-_MOST_PINNED:]
+
+    def pinned_places(self, simulator: Simulator, scene: Scene) -> list[ObjectPlace | None]:
+        """Return where the pinned objects are in the exposure shown; None for a star that is not drawn."""
+        inputs = (*self.pinned, scene)
+        if self._pinned_places is None or self._pinned_places[0] != inputs:
+            places: list[ObjectPlace | None] = []
+            for each in self.pinned:
+                try:
+                    direction_eq = object_direction_eq(
+                        each, simulator.sky, scene.stars, scene.exposure.mid_utc_s, scene.site
+                    )
+                except KeyError:
+                    places.append(None)
+                else:
+                    places.append(object_place(scene, direction_eq))
+            self._pinned_places = inputs, places
+        return self._pinned_places[1]
 
     def next_in_image_s(self, simulator: Simulator, scene: Scene) -> float | None:
         """Return when the selected object is on the image next, UTC seconds since 1970: see `time_in_image_s`."""

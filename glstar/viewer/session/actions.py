@@ -241,6 +241,8 @@ def is_possible(action: AnyAction, session: Session) -> bool:
         return session.live is not None
     if action in _COMPARISON or action is Action.SAVE_VIEW:
         return session.comparison.images is not None
+    if action is Action.OPEN_BESIDE:
+        return session.loaded is not None and not session.loaded.is_live
     if action in _NEEDS_IMAGE:
         return session.scene is not None or session.video is not None
     return session.head is not None or action not in _HEAD
@@ -256,6 +258,7 @@ def is_on(action: AnyAction, session: Session) -> bool:
     return {
         Action.NIGHT: session.night,
         Action.LOOK: session.look.is_on,
+        Action.OPEN_BESIDE: bool(session.navigator.others),
         Action.PROCESSED: session.shows_processed,
         Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,

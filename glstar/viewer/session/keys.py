@@ -31,6 +31,7 @@ class Action(StrEnum):
         return member
 
     OPEN = "open", "File", "Open a flight log", ("Ctrl+O",)
+    OPEN_BESIDE = "open beside", "File", "Open another log of this flight beside it, or close it", ("Ctrl+B",)
     CONNECT = "connect", "File", "Connect to a telemetry link", ("Ctrl+L",)
     RECORD_LINK = "record link", "File", "Record the link to a .tlog, or stop"
     EXPORT_LINK = "export link", "File", "Export the frames of the link as they are exposed, or stop"

@@ -22,7 +22,7 @@ from glstar.telemetry import is_bag_directory
 from glstar.viewer.flight import loaded as loadedflight
 from glstar.viewer.flight.live import LiveFlight
 from glstar.viewer.flight.lookaround import LookAround
-from glstar.viewer.flight.navigator import NavigatorView
+from glstar.viewer.flight.navigator import NavigatorView, OtherLog
 from glstar.viewer.flight.playhead import Mode, PlayHead, no_exposure
 from glstar.viewer.flight.sky import Conditions, CurrentConditions
 from glstar.viewer.frametimes import FrameTimes
@@ -322,6 +322,14 @@ class Session:
         """
         self.loader.read(path, self._own_config, {})
 
+    def open_beside(self, path: Path) -> None:
+        """Show another log of the flight shown as an estimate: arrow, horizon, figures, and its place on the map."""
+        with self.errors_reported():
+            other = OtherLog.read(path, self.config)
+            self.navigator.others = (*self.navigator.others, other)
+            self.shown_overlays |= {Overlay.NAVIGATOR}
+            self.notify(f"{path.name} beside the flight; its clock must be UTC too")
+
     def open_sky(self, place: Place, utc_s: float) -> None:
         """Show the sky of a place from a time on, as it moves, with the free camera towards the equator."""
         path = place.sky(utc_s)
@@ -408,6 +416,8 @@ class Session:
         elif before is not None:
             loaded.continue_from(before)
         self.loaded = loaded
+        if before is None or before.path != loaded.path:
+            self.navigator.others = ()
         if loaded.path is not None and loaded.path == self._plays:
             self._plays = None
             loaded.head.mode, loaded.head.playing = Mode.SLIDING, True

@@ -1,5 +1,6 @@
 """The panel that describes the selected star, constellation or body in the exposure shown."""
 
+from collections.abc import Callable
 from math import degrees
 from typing import Any
 
@@ -29,11 +30,57 @@ _NO_INPUT = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_
 
 def draw_object(session: Session, selection: Selection) -> None:
     """Draw the panel."""
+    _draw_selected(session, selection)
+    _draw_pinned(session, selection)
+
+
+def _draw_pinned(session: Session, selection: Selection) -> None:
+    """Draw the pinned objects side by side, a column each."""
+    scene, simulator = session.scene, session.image.simulator
+    if not selection.pinned or scene is None or simulator is None:
+        return
+    imgui.separator_text("Pinned")
+    places = selection.pinned_places(simulator, scene)
+    if not imgui.begin_table("##pinned", 1 + len(places), int(imgui.TableFlags_.sizing_stretch_prop)):
+        return
+    rows: tuple[tuple[str, Callable[[ObjectPlace], str]], ...] = (
+        ("altitude", lambda place: f"{degrees(place.altitude_rad):.3f}°"),
+        ("azimuth", lambda place: f"{degrees(place.azimuth_rad):.3f}°"),
+        ("from axis", lambda place: f"{degrees(place.from_axis_rad):.2f}°"),
+        ("x", lambda place: f"{place.x_px:.1f}" if place.on_image else "outside"),
+        ("y", lambda place: f"{place.y_px:.1f}" if place.on_image else ""),
+    )
+    imgui.table_next_row()
+    imgui.table_next_column()
+    for each in list(selection.pinned):
+        imgui.table_next_column()
+        if imgui.small_button(f"{each.name}##pinned"):
+            selection.pin(each)
+        imgui.set_item_tooltip("a click removes it from the table")
+    for label, value in (("V", None), *rows):
+        imgui.table_next_row()
+        imgui.table_next_column()
+        imgui.text_disabled(label)
+        for each, place in zip(selection.pinned, places, strict=False):
+            imgui.table_next_column()
+            if value is None:
+                imgui.text(f"{each.vmag:.2f}" if np.isfinite(each.vmag) else "")
+            else:
+                imgui.text("not drawn" if place is None else value(place))
+    imgui.end_table()
+
+
+def _draw_selected(session: Session, selection: Selection) -> None:
+    """Draw the selected object."""
     selected, scene, simulator = selection.selected, session.scene, session.image.simulator
     if selected is None or scene is None or simulator is None:
         draw_wrapped("Click a star in the image, or press Ctrl+F to find a star, constellation or planet by name.")
         return
     imgui.text_colored(accent(), selected.name)
+    imgui.same_line()
+    if imgui.small_button("Unpin" if selected in selection.pinned else "Pin"):
+        selection.pin(selected)
+    imgui.set_item_tooltip("keeps its figures below, beside those of other objects")
     if selected.other_names:
         imgui.text(", ".join(selected.other_names))
     place = selection.place(simulator, scene)
