@@ -90,7 +90,7 @@ def test_another_log_of_the_flight_is_drawn_as_an_estimate_with_its_difference(v
     before = screen(viewer)
     viewer.frame(0.0)
     (belief,) = session.navigator.beliefs(session.loaded, session.image.simulator, session.scene)
-    assert belief.name == "other.csv"
+    assert belief.name == "other"
     track = session.loaded.flight.attitude
     mid_s = session.scene.exposure.mid_utc_s
     dot = abs(float(track.at(np.array([mid_s]))[0] @ track.at(np.array([mid_s + 0.25]))[0]))

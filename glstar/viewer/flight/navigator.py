@@ -36,7 +36,7 @@ class OtherLog:
     def read(cls, path: Path, config: Config) -> "OtherLog":
         """Read a log with the settings of the one shown, but its own attitude; raises GlstarError."""
         own = config.override(**{"flight.attitude": "auto"})
-        return cls(path.name, own.gimbal.carried(own.open_flight(path)))
+        return cls(path.stem, own.gimbal.carried(own.open_flight(path)))
 
     def belief(self, C_camera_body: Float, simulator: Simulator, scene: Scene) -> Belief:
         """Return what it has in the middle of an exposure, as an estimate against the flight shown."""

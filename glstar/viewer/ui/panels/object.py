@@ -30,8 +30,8 @@ _NO_INPUT = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_
 
 def draw_object(session: Session, selection: Selection) -> None:
     """Draw the panel."""
-    _draw_selected(session, selection)
     _draw_pinned(session, selection)
+    _draw_selected(session, selection)
 
 
 def _draw_pinned(session: Session, selection: Selection) -> None:
@@ -68,6 +68,7 @@ def _draw_pinned(session: Session, selection: Selection) -> None:
             else:
                 imgui.text("not drawn" if place is None else value(place))
     imgui.end_table()
+    imgui.separator()
 
 
 def _draw_selected(session: Session, selection: Selection) -> None:
@@ -80,7 +81,7 @@ def _draw_selected(session: Session, selection: Selection) -> None:
     imgui.same_line()
     if imgui.small_button("Unpin" if selected in selection.pinned else "Pin"):
         selection.pin(selected)
-    imgui.set_item_tooltip("keeps its figures below, beside those of other objects")
+    imgui.set_item_tooltip("keeps its figures above, beside those of other objects")
     if selected.other_names:
         imgui.text(", ".join(selected.other_names))
     place = selection.place(simulator, scene)
