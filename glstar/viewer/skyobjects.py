@@ -9,7 +9,7 @@ import re
 import unicodedata
 from dataclasses import dataclass
 from enum import StrEnum
-from math import atan2, cos, degrees, erf, hypot, pi, sin, sqrt
+from math import atan2, cos, degrees, hypot, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -369,13 +369,6 @@ def _rank(key: str, query: str) -> int:
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
-_erf = np.vectorize(erf, otypes=[np.float64])
-
-# Half the side of the cut-out and half the length of its profile, px.
-_CUT_OUT_PX = 12
-# Interval around the middle of the exposure over which the star's speed is measured, as a fraction of the exposure.
-_SPEED_FRACTION = 0.01
-
 
 class Selection:
     """The selected object."""
@@ -539,85 +532,3 @@ def _star_truth(scene: Scene, star_id: int, pixels: Pixels) -> dict[str, Any] | 
         return None
     line = frame_truth(scene.with_visible(index), Frame(pixels, scene.exposure, seed=0), number=0, file="")
     return next((star for star in json.loads(line)["stars"] if star["star_id"] == star_id), None)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CutOut:
-    """The pixels around a star, and its profile across the trail."""
-
-    pixels: Pixels  # (n, m) uint8 or uint16
-    left_px: int  # Column and row of its first pixel
-    top_px: int
-    offset_px: Float  # (k,) distances from the trail, px
-    measured_dn: Float  # (k,) the image there, interpolated bilinearly, DN
-    # (k,) the median of the cut-out plus the star as a straight trail with the point spread function's width, DN.
-    expected_dn: Float
-
-    def saturated(self, tested: Pixels, saturation_dn: int) -> NDArray[np.bool_]:
-        """Return which of its pixels are saturated, (n, m).
-
-        `tested` (height, width) uint8 or uint16: the image; or bool: where a short exposure of a stacked image is
-        saturated; `saturation_dn`: the largest digital number of the sensor.
-        """
-        rows, columns = self.pixels.shape
-        around = tested[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns]
-        return np.asarray(around >= (1 if around.dtype == np.bool_ else saturation_dn))
-
-
-def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
-    """Return the surroundings of a star in the middle of its exposure; None if it is then outside the image.
-
-    The expected profile is that of a star that moves uniformly on a straight line.  `pixels` (height, width) uint8 or
-    uint16; `direction_eq` (3,): of the star; `flux_dn`: sum of its flux over the image, DN.
-    """
-    # The middle of a stacked image is that of its nearest short exposure: between two of them the star jumps.
-    count = max(len(scene.shorts), 1)
-    fraction = _SPEED_FRACTION / count
-    times = (count // 2 + 0.5) / count + fraction * np.array([-0.5, 0.0, 0.5])
-    before, middle, after = recorded_positions(scene, direction_eq[np.newaxis], times)[:, 0]
-    if not scene.camera.contains(middle):
-        return None
-    column, row = np.rint(middle).astype(int).tolist()
-    left, top = max(column - _CUT_OUT_PX, 0), max(row - _CUT_OUT_PX, 0)
-    around = pixels[top : row + _CUT_OUT_PX + 1, left : column + _CUT_OUT_PX + 1]
-    velocity = (after - before) / fraction
-    trail_px = float(np.hypot(*velocity))
-    trail_px = trail_px if np.isfinite(trail_px) else 0.0
-    across = np.array([-velocity[1], velocity[0]]) / trail_px if trail_px > 1e-3 else np.array([1.0, 0.0])
-    offset_px = np.linspace(-_CUT_OUT_PX, _CUT_OUT_PX, 4 * _CUT_OUT_PX + 1)
-    profile_px = middle + offset_px[:, np.newaxis] * across - (left, top)
-    expected_dn = np.median(around) + flux_dn * _straight_trail(
-        around.shape, middle - (left, top), across, trail_px, scene.sensor.effective_sigma_px
-    )
-    return CutOut(
-        pixels=around,
-        left_px=left,
-        top_px=top,
-        offset_px=offset_px,
-        measured_dn=_bilinear(around, profile_px),
-        expected_dn=_bilinear(np.minimum(expected_dn, scene.white_dn), profile_px),
-    )
-
-
-def _straight_trail(shape: tuple[int, ...], middle_px: Float, across: Float, trail_px: float, sigma_px: float) -> Float:
-    """Return the signal of a straight trail of unit flux at the centres of pixels: a Gaussian times two erf."""
-    y, x = np.indices(shape) - middle_px[::-1, np.newaxis, np.newaxis]
-    across_px, along_px = x * across[0] + y * across[1], x * -across[1] + y * across[0]
-    # A star that does not move is a trail too short to differ from a point.
-    half_px = max(trail_px, 1e-3 * sigma_px) / 2
-    scale_px = sqrt(2) * sigma_px
-    along = (_erf((along_px + half_px) / scale_px) - _erf((along_px - half_px) / scale_px)) / (4 * half_px)
-    return np.asarray(np.exp(-((across_px / scale_px) ** 2)) / (sqrt(2 * pi) * sigma_px) * along)
-
-
-def _bilinear(pixels: NDArray[Any], xy_px: Float) -> Float:
-    """Return an image at positions (n, 2), px, interpolated bilinearly; NaN outside."""
-    height, width = pixels.shape
-    first = np.floor(xy_px).astype(int)
-    inside = (first >= 0).all(axis=1) & (first[:, 0] < width - 1) & (first[:, 1] < height - 1)
-    x, y = np.where(inside[:, np.newaxis], first, 0).T
-    u, v = (xy_px - first).T
-    value = (1 - v) * ((1 - u) * pixels[y, x] + u * pixels[y, x + 1]) + v * (
-        (1 - u) * pixels[y + 1, x] + u * pixels[y + 1, x + 1]
-    )
-    return np.where(inside, value, np.nan)

@@ -8,7 +8,7 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.viewer.overlays.table import Overlay
-from glstar.viewer.session.actions import is_possible, select_object
+from glstar.viewer.session.actions import is_possible, open_beside, select_object
 from glstar.viewer.session.keys import Action
 from glstar.viewer.skyobjects import ObjectKind
 from glstar.viewer.ui.panels import object as objectpanel
@@ -86,7 +86,7 @@ def test_another_log_of_the_flight_is_drawn_as_an_estimate_with_its_difference(v
     session.head.seek_by(5.0)
     viewer.frame(0.0)
     assert is_possible(Action.OPEN_BESIDE, session)
-    session.open_beside(other)
+    open_beside(session, other)
     before = screen(viewer)
     viewer.frame(0.0)
     (belief,) = session.navigator.beliefs(session.loaded, session.image.simulator, session.scene)
@@ -105,7 +105,7 @@ def test_another_log_of_the_flight_is_drawn_as_an_estimate_with_its_difference(v
 
 def test_a_log_that_cannot_be_read_is_not_opened_beside(viewer, tmp_path):
     (tmp_path / "broken.csv").write_text("not a flight\n")
-    viewer.session.open_beside(tmp_path / "broken.csv")
+    open_beside(viewer.session, tmp_path / "broken.csv")
     assert viewer.session.navigator.others == ()
     assert "broken.csv" in viewer.session.notifications.errors[-1]
     assert isinstance(viewer.session.config, Config)

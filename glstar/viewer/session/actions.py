@@ -6,15 +6,19 @@ A link is recorded, its frames are exported, a vehicle is chosen, or it is disco
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from math import pi, radians
+from pathlib import Path
 from threading import Thread
 
 from glstar.export.directory import explain_disk_errors
 from glstar.viewer.flight.live import LiveFlight
+from glstar.viewer.flight.navigator import OtherLog
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.simulated import why_not_processed
 from glstar.viewer.session.keys import Action, AnyAction
+from glstar.viewer.session.memory import Place
 from glstar.viewer.session.recording import BackgroundLiveExport
 from glstar.viewer.session.saving import record_video, save_comparison, save_frame, unused_path
 from glstar.viewer.session.state import Session
@@ -155,6 +159,24 @@ def select_object(session: Session, selection: Selection, target: SkyObject | No
     simulator, scene = session.image.simulator, session.scene
     if simulator is not None and scene is not None and (message := selection.select(target, simulator, scene)):
         session.notify(message)
+
+
+def open_beside(session: Session, path: Path) -> None:
+    """Show another log of the flight shown as an estimate: arrow, horizon, figures, and its place on the map."""
+    with session.errors_reported():
+        other = OtherLog.read(path, session.config)
+        session.navigator.others = (*session.navigator.others, other)
+        session.shown_overlays |= {Overlay.NAVIGATOR}
+        session.notify(f"{path.name} beside the flight; its clock must be UTC too")
+
+
+def open_sky(session: Session, place: Place, utc_s: float) -> None:
+    """Show the sky of a place from a time on, as it moves, with the free camera towards the equator."""
+    session.plays = place.sky(utc_s)
+    look = session.look
+    look.azimuth_rad, look.altitude_rad = (pi if place.latitude_deg >= 0 else 0.0), radians(35.0)
+    look.is_on = True
+    session.open_flight(session.plays)
 
 
 def fit_stretch(session: Session) -> None:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from math import floor, pi, radians
+from math import floor
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from glstar.telemetry import is_bag_directory
 from glstar.viewer.flight import loaded as loadedflight
 from glstar.viewer.flight.live import LiveFlight
 from glstar.viewer.flight.lookaround import LookAround
-from glstar.viewer.flight.navigator import NavigatorView, OtherLog
+from glstar.viewer.flight.navigator import NavigatorView
 from glstar.viewer.flight.playhead import Mode, PlayHead, no_exposure
 from glstar.viewer.flight.sky import Conditions, CurrentConditions
 from glstar.viewer.frametimes import FrameTimes
@@ -31,7 +31,7 @@ from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState, ou
 from glstar.viewer.picture.content import PanelContent
 from glstar.viewer.picture.simulated import ImageRequest, SimulatedImage
 from glstar.viewer.picture.view import ImageView, Stretch
-from glstar.viewer.session.memory import Notifications, Place
+from glstar.viewer.session.memory import Notifications
 from glstar.viewer.session.recording import BackgroundExport, Video
 
 # Exposures that no camera records start at a multiple of 1 microsecond, which a command line can name exactly.
@@ -96,9 +96,9 @@ class Session:
         self._latest: LatestAttitude | None = None
         self._control: ControlledExposure | None = None
         self._measured: Scene | None = None
-        self._plays: Path | None = None  # The flight that plays when it has been loaded
+        self.plays: Path | None = None  # The flight that plays when it has been loaded
         # The scene to which the stretch was fitted last.
-        self._followed: Scene | None = None
+        self.followed: Scene | None = None
         # A simulator, the exposure time, s, and the gain of the control, and the simulator with them.
         self._as_set: tuple[Simulator, tuple[float, float], Simulator] | None = None
 
@@ -157,7 +157,7 @@ class Session:
         request = ImageRequest(shot.exposure, number, shot.simulator, self.comparison.is_noiseless)
         drawn = self.image.update(request, playing=head.playing and not head.live)
         self._measure()
-        self._follow_image()
+        _follow_image(self)
         if drawn and head.live and self.live is not None and self._latest is not None:
             self.live.drew(self._latest, self.scene, self.config.exposure.duration_s)
 
@@ -189,21 +189,7 @@ class Session:
 
     def follow_image(self) -> None:
         """Fit the stretch to the image shown in the next update, unless it is held."""
-        self._followed = None
-
-    def _follow_image(self) -> None:
-        """Fit black and white to a new image unless they are held; while the flight plays, twice a second of it."""
-        scene, before = self.scene, self._followed
-        if scene is None or scene is before or self.stretch.held:
-            return
-        if self.is_playing and before is not None and before.sensor is scene.sensor:
-            elapsed_s = scene.exposure.start_utc_s - before.exposure.start_utc_s
-            if abs(elapsed_s) < _FOLLOW_S and before.exposure.duration_s == scene.exposure.duration_s:
-                return
-        pixels = self.image.pixels
-        if pixels is not None:
-            self._followed = scene
-            self.stretch = self.stretch.following(pixels, scene.white_dn, Stretch.for_sensor(scene.sensor))
+        self.followed = None
 
     # --- live flights ---
 
@@ -322,22 +308,6 @@ class Session:
         """
         self.loader.read(path, self._own_config, {})
 
-    def open_beside(self, path: Path) -> None:
-        """Show another log of the flight shown as an estimate: arrow, horizon, figures, and its place on the map."""
-        with self.errors_reported():
-            other = OtherLog.read(path, self.config)
-            self.navigator.others = (*self.navigator.others, other)
-            self.shown_overlays |= {Overlay.NAVIGATOR}
-            self.notify(f"{path.name} beside the flight; its clock must be UTC too")
-
-    def open_sky(self, place: Place, utc_s: float) -> None:
-        """Show the sky of a place from a time on, as it moves, with the free camera towards the equator."""
-        path = place.sky(utc_s)
-        self._plays = path
-        self.look.azimuth_rad, self.look.altitude_rad = (pi if place.latitude_deg >= 0 else 0.0), radians(35.0)
-        self.look.is_on = True
-        self.open_flight(path)
-
     @property
     def missing(self) -> loadedflight.MissingInputs | None:
         """The missing inputs of the log opened last or of the link, until the user gives them or cancels."""
@@ -418,8 +388,8 @@ class Session:
         self.loaded = loaded
         if before is None or before.path != loaded.path:
             self.navigator.others = ()
-        if loaded.path is not None and loaded.path == self._plays:
-            self._plays = None
+        if loaded.path is not None and loaded.path == self.plays:
+            self.plays = None
             loaded.head.mode, loaded.head.playing = Mode.SLIDING, True
         self._opening_error = ""
         self.image.error = ""
@@ -483,6 +453,26 @@ class Session:
         self.comparison.close()
         if self.live is not None:
             self.live.close()
+
+
+def _follow_image(session: Session) -> None:
+    """Fit black and white to a new image unless they are held; while the flight plays, twice a second of it."""
+    scene, before = session.scene, session.followed
+    if scene is None or scene is before or session.stretch.held:
+        return
+    if session.is_playing and before is not None and _is_near(before, scene):
+        return
+    pixels = session.image.pixels
+    if pixels is not None:
+        session.followed = scene
+        session.stretch = session.stretch.following(pixels, scene.white_dn, Stretch.for_sensor(scene.sensor))
+
+
+def _is_near(before: Scene, scene: Scene) -> bool:
+    """Return whether an image follows another one so closely that the same stretch fits it."""
+    elapsed_s = abs(scene.exposure.start_utc_s - before.exposure.start_utc_s)
+    is_alike = before.sensor is scene.sensor and before.exposure.duration_s == scene.exposure.duration_s
+    return is_alike and elapsed_s < _FOLLOW_S
 
 
 def _exposure_to_show(loaded: loadedflight.LoadedFlight, comparison: ComparisonState) -> tuple[Exposure, int | None]:

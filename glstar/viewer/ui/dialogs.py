@@ -21,6 +21,7 @@ from glstar.export.imagefiles.formats import ImageFormat
 from glstar.link import serial_ports
 from glstar.sky.place.timescale import format_utc, parse_utc
 from glstar.viewer.flight.loaded import SITE_FIELDS, SITE_KEYS, UTC_FIELD, InputField, MissingInputs, flight_keys
+from glstar.viewer.session.actions import open_sky
 from glstar.viewer.session.keys import shown_chord
 from glstar.viewer.session.memory import Place
 from glstar.viewer.session.recording import RangeVideo, VideoRange
@@ -366,7 +367,7 @@ class SkyDialog:
             return
         if place.name:
             session.notify(f"{place.name}, by this computer's time zone; another place: {shown_chord('Ctrl+K')}")
-        session.open_sky(place, time.time())
+        open_sky(session, place, time.time())
 
     def ask(self, _session: Session) -> None:
         """Open the dialog with the place typed last and the present time."""
@@ -415,7 +416,7 @@ class SkyDialog:
         assert site is not None
         imgui.close_current_popup()
         self.place = Place(degrees(site.latitude_rad), degrees(site.longitude_rad), site.height_m)
-        session.open_sky(self.place, parse_utc(self._typed[UTC_FIELD.key]))
+        open_sky(session, self.place, parse_utc(self._typed[UTC_FIELD.key]))
 
 
 def draw_fields(fields: tuple[InputField, ...], typed: dict[str, str], width_px: float, *, focus: bool) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl import Context, Framebuffer
 from glstar.viewer.picture.content import Display
-from glstar.viewer.session.actions import is_on, is_possible, perform
+from glstar.viewer.session.actions import is_on, is_possible, open_beside, perform
 from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.session.memory import Notification, SettingsHistory
 from glstar.viewer.session.saving import PictureAction, save_problem_report, save_settings, unused_path
@@ -305,7 +305,12 @@ class Interface:
             case Action.OPEN_BESIDE if session.navigator.others:
                 session.navigator.others = ()
             case Action.OPEN_BESIDE:
-                files.ask("open", "Open another log", session.loader.last_opened or Path.cwd(), session.open_beside)
+                files.ask(
+                    "open",
+                    "Open another log",
+                    session.loader.last_opened or Path.cwd(),
+                    lambda path: open_beside(session, path),
+                )
             case Action.OPEN_SETTINGS:
                 files.ask("open", "Open settings", Path.cwd() / "glstar.toml", session.open_settings)
             case Action.OPEN_IMAGES:
