@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 
 from glstar.config import Config
@@ -55,30 +54,6 @@ def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> st
     assert child.returncode == 1, child.stderr
     (line,) = child.stderr.splitlines()
     return line
-
-
-@needs_xvfb
-def test_tab_looks_around_and_back_in_the_real_window(tmp_path, xvfb):
-    display = xvfb()
-    press = partial(press_keys, environment(display, tmp_path))
-    saved = tmp_path / "glstar-saved"
-
-    def screenshot() -> np.ndarray:
-        before = len(list(saved.glob("screenshot*.png")))
-        until(
-            lambda: press("s") or soon(lambda: len(list(saved.glob("screenshot*.png"))) > before, 1.0), "a screenshot"
-        )
-        time.sleep(0.5)
-        # The image's part of the window, without its lower edge, where the free camera says where it looks.
-        return cv2.imread(str(newest(saved.glob("screenshot*.png"))))[50:440, 20:920].astype(int)
-
-    with started("view", "--at", "20", display=display, home=tmp_path) as window:
-        own = screenshot()
-        press("Tab")
-        until(lambda: np.abs(screenshot() - own).mean() > 5.0, "another view")
-        until(lambda: press("Tab") or np.abs(screenshot() - own).max() <= 2, "the aircraft's view")
-        press("ctrl+q")
-        assert window.wait(PATIENCE_S) == 0
 
 
 @needs_xvfb
