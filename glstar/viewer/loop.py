@@ -157,6 +157,7 @@ class Viewer:
         if self._memory.overlays is not None:
             self.session.shown_overlays = set(self._memory.overlays)
         self.interface.recent = self._memory.recent
+        self.interface.sky.place = self._memory.place
         self.interface.text_scale = resized_text(self._memory.text_scale, 0)
         if self._memory.file is not None and not self._memory.has_toured:
             self._memory.has_toured = True
@@ -413,6 +414,7 @@ class Viewer:
         """Stop exports and threads, store what is remembered, and release all objects; a second call does nothing."""
         self._memory.night = self.session.night
         self._memory.overlays = frozenset(self.session.shown_overlays)
+        self._memory.place = self.interface.sky.place
         self._memory.text_scale = self.interface.text_scale
         self._memory.save()
         self._owned.close()

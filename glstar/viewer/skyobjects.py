@@ -9,7 +9,7 @@ import re
 import unicodedata
 from dataclasses import dataclass
 from enum import StrEnum
-from math import atan2, cos, degrees, erf, hypot, pi, sin, sqrt
+from math import atan2, cos, degrees, hypot, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +22,12 @@ from glstar.render.readout.rows import recorded_positions
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.simulator import Simulator
 from glstar.render.truth.frame import frame_truth
+from glstar.sky.catalogue.messier import messier_objects
 from glstar.sky.catalogue.names import constellations, proper_names
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.sky.catalogue.starfield import StarField
-from glstar.sky.observed.solarsystem import BODIES, observed_bodies
+from glstar.sky.observed.risings import RiseAndSet, body_rise_and_set, star_rise_and_set
+from glstar.sky.observed.solarsystem import BODIES, Body, observed_bodies
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
@@ -34,6 +36,11 @@ from glstar.viewer.overlays.canvas import ned_to_camera_matrix
 
 # Interval at which a flight is searched for an object, s: a frame of 50 deg takes as long to pass at 200 deg/s.
 _SEARCH_STEP_S = 0.25
+# Most objects that are pinned: a panel of the least width has room for their columns.
+_MOST_PINNED = 4
+# Most times at which a flight is searched, and how long rise and set are kept, s.
+_MOST_TIMES = 3600
+_RISING_S = 600.0
 # Times per call, which must lie within minutes of each other.
 _TIMES_AT_ONCE = 400
 
@@ -223,6 +230,7 @@ class ObjectKind(StrEnum):
     BODY = "body"
     CONSTELLATION = "constellation"
     STAR = "star"
+    DEEP_SKY = "deep sky"
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +241,8 @@ class SkyObject:
     name: str  # Proper name, or designation, or catalogue number: never empty
     other_names: tuple[str, ...] = ()  # Its other designations, such as ``"α CMa"`` and ``"HR 2491"``
     star_id: int = 0  # Number of a star in its catalogue; 0 for other objects
-    vmag: float = float("nan")  # V magnitude of a star; NaN for other objects
+    vmag: float = float("nan")  # V magnitude of a star or of a deep-sky object; NaN for other objects
+    number: int = 0  # Messier's; 0 for other objects
 
     @property
     def label(self) -> str:
@@ -245,7 +254,7 @@ class SkySearch:
     """Finds objects by their names; `catalogue`: the stars that can be found."""
 
     def __init__(self, catalogue: StarCatalogue) -> None:
-        self._objects = [*_bodies(), *_constellations(), *_stars(catalogue)]
+        self._objects = [*_bodies(), *_constellations(), *_stars(catalogue), *_deep_sky()]
         self._keys = [tuple(_normalized(name) for name in (each.name, *each.other_names)) for each in self._objects]
         self._by_number = {each.star_id: each for each in self._objects if each.star_id}
 
@@ -290,7 +299,10 @@ def object_direction_eq(target: SkyObject, sky: Sky, stars: StarField, utc_s: fl
         if not index.size:
             raise KeyError(target.label)
         return np.asarray(stars.direction_eq[index[0]])
-    ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == target.name)
+    if target.kind is ObjectKind.DEEP_SKY:
+        ra_rad, dec_rad = messier_objects()[target.number - 1][-2:]
+    else:
+        ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == target.name)
     return np.asarray(ASTROMETRY["erfa"].apparent_directions([ra_rad], [dec_rad], [0.0], [0.0], stars.epoch_utc_s)[0])
 
 
@@ -313,6 +325,19 @@ def _stars(catalogue: StarCatalogue) -> list[SkyObject]:
         first, *others = dict.fromkeys(names)
         stars.append(SkyObject(ObjectKind.STAR, first, tuple(others), star_id, vmag))
     return stars
+
+
+def _deep_sky() -> list[SkyObject]:
+    return [
+        SkyObject(
+            ObjectKind.DEEP_SKY,
+            each.label,
+            tuple(filter(None, (each.name, each.designation, each.kind))),
+            vmag=each.vmag,
+            number=each.number,
+        )
+        for each in messier_objects()
+    ]
 
 
 def _normalized(name: str) -> str:
@@ -344,22 +369,19 @@ def _rank(key: str, query: str) -> int:
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
-_erf = np.vectorize(erf, otypes=[np.float64])
-
-# Half the side of the cut-out and half the length of its profile, px.
-_CUT_OUT_PX = 12
-# Interval around the middle of the exposure over which the star's speed is measured, as a fraction of the exposure.
-_SPEED_FRACTION = 0.01
-
 
 class Selection:
     """The selected object."""
 
     def __init__(self) -> None:
         self.selected: SkyObject | None = None
+        self.pinned: list[SkyObject] = []  # Objects whose figures stay beside those of the selected one
+        self._pinned_places: tuple[tuple[object, ...], list[ObjectPlace | None]] | None = None
         self._search: tuple[StarCatalogue, SkySearch] | None = None
         self._direction: tuple[tuple[object, ...], Float | None] | None = None
         self._truth: tuple[tuple[object, ...], dict[str, Any] | None] | None = None
+        self._risings: tuple[tuple[object, ...], RiseAndSet] | None = None
+        self._times: tuple[tuple[object, ...], Float] | None = None
 
     def search(self, catalogue: StarCatalogue) -> SkySearch:
         """Return the search of a catalogue, made when it is first needed."""
@@ -398,12 +420,88 @@ class Selection:
         direction_eq = self.direction_eq(simulator, scene)
         return None if direction_eq is None else object_place(scene, direction_eq)
 
+    def pin(self, target: SkyObject) -> None:
+        """Keep an object's figures, or drop them if they are kept; of more than four the oldest is dropped."""
+        if target in self.pinned:
+            self.pinned.remove(target)
+        else:
+            self.pinned = [*self.pinned, target][-_MOST_PINNED:]
+
+    def pinned_places(self, simulator: Simulator, scene: Scene) -> list[ObjectPlace | None]:
+        """Return where the pinned objects are in the exposure shown; None for a star that is not drawn."""
+        inputs = (*self.pinned, scene)
+        if self._pinned_places is None or self._pinned_places[0] != inputs:
+            places: list[ObjectPlace | None] = []
+            for each in self.pinned:
+                try:
+                    direction_eq = object_direction_eq(
+                        each, simulator.sky, scene.stars, scene.exposure.mid_utc_s, scene.site
+                    )
+                except KeyError:
+                    places.append(None)
+                else:
+                    places.append(object_place(scene, direction_eq))
+            self._pinned_places = inputs, places
+        return self._pinned_places[1]
+
     def next_in_image_s(self, simulator: Simulator, scene: Scene) -> float | None:
         """Return when the selected object is on the image next, UTC seconds since 1970: see `time_in_image_s`."""
         direction_eq = self.direction_eq(simulator, scene)
         if direction_eq is None:
             return None
         return time_in_image_s(simulator, direction_eq, scene.exposure.stop_utc_s)
+
+    def body(self, simulator: Simulator, scene: Scene) -> Body | None:
+        """Return the selected body as seen in the exposure shown; None if the selection is none."""
+        if self.selected is None or self.selected.kind is not ObjectKind.BODY:
+            return None
+        name = self.selected.name
+        return observed_bodies(simulator.sky, scene.exposure.mid_utc_s, scene.site, (name,))[0]
+
+    def rise_and_set(self, simulator: Simulator, scene: Scene) -> RiseAndSet | None:
+        """Return when the selected object rises and sets next, seen from the site at the exposure shown.
+
+        It is computed again after ten minutes, and when one of the times has passed; None if nothing is selected.
+        """
+        selected, direction_eq = self.selected, self.direction_eq(simulator, scene)
+        if selected is None or direction_eq is None:
+            return None
+        utc_s = scene.exposure.mid_utc_s
+        last = self._risings
+        inputs = (selected, simulator.sky, utc_s // _RISING_S)
+        if last is not None and last[0] == inputs:
+            ends = [end for end in last[1][:2] if end is not None]
+            if all(end > utc_s for end in ends):
+                return last[1]
+        if selected.kind is ObjectKind.BODY:
+            found = body_rise_and_set(simulator.sky, selected.name, utc_s, scene.site)
+        else:
+            found = star_rise_and_set(simulator.sky, direction_eq, utc_s, scene.site)
+        self._risings = inputs, found
+        return found
+
+    def times_in_image_s(self, simulator: Simulator, scene: Scene) -> Float | None:
+        """Return the sampled times at which the selected object is on the image, (n,) UTC seconds since 1970.
+
+        `simulator`: of the aircraft's camera; a quarter of a second apart, more on a flight longer than a quarter of an
+        hour.  Returns None if nothing is selected.
+        """
+        direction_eq = self.direction_eq(simulator, scene)
+        if direction_eq is None:
+            return None
+        inputs = (self.selected, simulator)
+        if self._times is None or self._times[0] != inputs:
+            attitude = simulator.flight.attitude
+            step_s = max(_SEARCH_STEP_S, (attitude.last_s - attitude.first_s) / _MOST_TIMES)
+            times_s = np.arange(attitude.first_s, attitude.last_s, step_s)
+            inside = [np.empty(0)]
+            for first in range(0, len(times_s), _TIMES_AT_ONCE):
+                block_s = times_s[first : first + _TIMES_AT_ONCE]
+                xy_px = simulator.camera.project(simulator.pointing(block_s).to_camera(direction_eq[np.newaxis]))[:, 0]
+                inside.append(block_s[simulator.camera.contains(xy_px)])
+            kept = [at for at in np.concatenate(inside).tolist() if attitude.gap_within(at, at) is None]
+            self._times = inputs, np.array(kept)
+        return self._times[1]
 
     def star_truth(self, scene: Scene, pixels: Pixels) -> dict[str, Any] | None:
         """Return the line of truth of the selected star in the exposure shown.
@@ -434,85 +532,3 @@ def _star_truth(scene: Scene, star_id: int, pixels: Pixels) -> dict[str, Any] | 
         return None
     line = frame_truth(scene.with_visible(index), Frame(pixels, scene.exposure, seed=0), number=0, file="")
     return next((star for star in json.loads(line)["stars"] if star["star_id"] == star_id), None)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CutOut:
-    """The pixels around a star, and its profile across the trail."""
-
-    pixels: Pixels  # (n, m) uint8 or uint16
-    left_px: int  # Column and row of its first pixel
-    top_px: int
-    offset_px: Float  # (k,) distances from the trail, px
-    measured_dn: Float  # (k,) the image there, interpolated bilinearly, DN
-    # (k,) the median of the cut-out plus the star as a straight trail with the point spread function's width, DN.
-    expected_dn: Float
-
-    def saturated(self, tested: Pixels, saturation_dn: int) -> NDArray[np.bool_]:
-        """Return which of its pixels are saturated, (n, m).
-
-        `tested` (height, width) uint8 or uint16: the image; or bool: where a short exposure of a stacked image is
-        saturated; `saturation_dn`: the largest digital number of the sensor.
-        """
-        rows, columns = self.pixels.shape
-        around = tested[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns]
-        return np.asarray(around >= (1 if around.dtype == np.bool_ else saturation_dn))
-
-
-def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
-    """Return the surroundings of a star in the middle of its exposure; None if it is then outside the image.
-
-    The expected profile is that of a star that moves uniformly on a straight line.  `pixels` (height, width) uint8 or
-    uint16; `direction_eq` (3,): of the star; `flux_dn`: sum of its flux over the image, DN.
-    """
-    # The middle of a stacked image is that of its nearest short exposure: between two of them the star jumps.
-    count = max(len(scene.shorts), 1)
-    fraction = _SPEED_FRACTION / count
-    times = (count // 2 + 0.5) / count + fraction * np.array([-0.5, 0.0, 0.5])
-    before, middle, after = recorded_positions(scene, direction_eq[np.newaxis], times)[:, 0]
-    if not scene.camera.contains(middle):
-        return None
-    column, row = np.rint(middle).astype(int).tolist()
-    left, top = max(column - _CUT_OUT_PX, 0), max(row - _CUT_OUT_PX, 0)
-    around = pixels[top : row + _CUT_OUT_PX + 1, left : column + _CUT_OUT_PX + 1]
-    velocity = (after - before) / fraction
-    trail_px = float(np.hypot(*velocity))
-    trail_px = trail_px if np.isfinite(trail_px) else 0.0
-    across = np.array([-velocity[1], velocity[0]]) / trail_px if trail_px > 1e-3 else np.array([1.0, 0.0])
-    offset_px = np.linspace(-_CUT_OUT_PX, _CUT_OUT_PX, 4 * _CUT_OUT_PX + 1)
-    profile_px = middle + offset_px[:, np.newaxis] * across - (left, top)
-    expected_dn = np.median(around) + flux_dn * _straight_trail(
-        around.shape, middle - (left, top), across, trail_px, scene.sensor.effective_sigma_px
-    )
-    return CutOut(
-        pixels=around,
-        left_px=left,
-        top_px=top,
-        offset_px=offset_px,
-        measured_dn=_bilinear(around, profile_px),
-        expected_dn=_bilinear(np.minimum(expected_dn, scene.white_dn), profile_px),
-    )
-
-
-def _straight_trail(shape: tuple[int, ...], middle_px: Float, across: Float, trail_px: float, sigma_px: float) -> Float:
-    """Return the signal of a straight trail of unit flux at the centres of pixels: a Gaussian times two erf."""
-    y, x = np.indices(shape) - middle_px[::-1, np.newaxis, np.newaxis]
-    across_px, along_px = x * across[0] + y * across[1], x * -across[1] + y * across[0]
-    # A star that does not move is a trail too short to differ from a point.
-    half_px = max(trail_px, 1e-3 * sigma_px) / 2
-    scale_px = sqrt(2) * sigma_px
-    along = (_erf((along_px + half_px) / scale_px) - _erf((along_px - half_px) / scale_px)) / (4 * half_px)
-    return np.asarray(np.exp(-((across_px / scale_px) ** 2)) / (sqrt(2 * pi) * sigma_px) * along)
-
-
-def _bilinear(pixels: NDArray[Any], xy_px: Float) -> Float:
-    """Return an image at positions (n, 2), px, interpolated bilinearly; NaN outside."""
-    height, width = pixels.shape
-    first = np.floor(xy_px).astype(int)
-    inside = (first >= 0).all(axis=1) & (first[:, 0] < width - 1) & (first[:, 1] < height - 1)
-    x, y = np.where(inside[:, np.newaxis], first, 0).T
-    u, v = (xy_px - first).T
-    value = (1 - v) * ((1 - u) * pixels[y, x] + u * pixels[y, x + 1]) + v * (
-        (1 - u) * pixels[y + 1, x] + u * pixels[y + 1, x + 1]
-    )
-    return np.where(inside, value, np.nan)

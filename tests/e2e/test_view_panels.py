@@ -12,7 +12,7 @@ from tests.support.realwindow import GLSTAR, TOP_PX, Places, RealWindow, differ,
 
 def open_bundled_flight(window: RealWindow, places: Places) -> np.ndarray:
     """Click on the welcome panel's button, the first of "Try"; return the screen with the flight."""
-    button = places.middle, int(places.height * 0.36 + 72 * places.scale)
+    button = places.middle, int(places.height * 0.36 + 115 * places.scale)
 
     def click() -> None:
         window.click(*button)
@@ -90,16 +90,16 @@ def drag_histogram(window: RealWindow, places: Places, settings: np.ndarray) -> 
     """Drag black to the right, which darkens the background, also after a fit has put black elsewhere."""
 
     def handles(screen: np.ndarray) -> np.ndarray:
-        """Return the columns of the labels "black" and "white" on the accent colour."""
-        strip = screen[140:160, places.right + 8 :].astype(int)
-        return np.flatnonzero((strip[..., 0] - strip[..., 2] > 80).any(axis=0))
+        """Return the columns of the lines "black" and "white", which have the accent colour from top to bottom."""
+        strip = screen[75:122, places.right + 8 :].astype(int)
+        return np.flatnonzero((strip[..., 0] - strip[..., 2] > 80).mean(axis=0) > 0.9)
 
     def is_view(screen: np.ndarray) -> bool:
         return differ(places.panel(screen), places.panel(settings)) and handles(screen).size > 0
 
     fitted = open_tab(window, places, 98, is_view)
     columns = handles(fitted)
-    x, y = places.right + 8 + int(columns[columns < columns[0] + 60].mean()), 100
+    x, y = places.right + 8 + int(columns[columns < columns[0] + 6].mean()), 100
     window.drag((x, y), (x + 60, y))
     window.away()
     darker = places.image(fitted).mean() - 5

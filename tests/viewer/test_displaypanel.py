@@ -1,10 +1,13 @@
 """Stretch, colours, histogram and pixel grid of the display."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from imgui_bundle import imgui
 
+from glstar.config import Config
 from glstar.viewer.picture.view import ColourMap, Histogram, Stretch, StretchKind
 from glstar.viewer.ui.theme import accent
 from tests.support.windowinput import press, screen
@@ -42,6 +45,30 @@ def test_the_fitted_stretch_of_an_image_without_stars_does_not_amplify_its_noise
     pixels = RNG.normal(200.0, 6.0, (400, 500)).round().astype(np.uint16)
     stretch = Stretch(StretchKind.LINEAR).fitted(pixels, 4095)
     assert stretch(pixels / np.float32(4095)).max() < 0.4
+
+
+def test_a_stretch_that_follows_shows_a_moonlit_sky_black_and_a_usual_one_as_the_sensor_s():
+    usual = Stretch(boost=5.0, black=16 / 255)
+    dark = RNG.normal(16.0, 3.0, (400, 500)).round().clip(0, 255).astype(np.uint8)
+    assert usual.following(dark, 255, usual) == usual
+    moonlit = RNG.normal(140.0, 4.0, (400, 500)).round().astype(np.uint8)
+    followed = usual.following(moonlit, 255, usual)
+    assert followed.black * 255 == pytest.approx(140.0, abs=0.1)
+    assert np.mean(followed(moonlit / np.float32(255))) < 0.25
+    assert followed.following(RNG.permutation(moonlit), 255, usual) == followed
+    assert followed.following(dark, 255, usual) == usual
+
+
+def test_a_saturated_sky_is_bright():
+    saturated = np.full((400, 500), 255, np.uint8)
+    assert Stretch().following(saturated, 255, Stretch(boost=5.0))(saturated / np.float32(255)).min() > 0.7
+
+
+@pytest.mark.parametrize("hold", [lambda s: s.brighter(2.0), lambda s: s.between(0.1, 0.2)], ids=["key", "handles"])
+def test_a_stretch_that_the_user_chose_is_held(hold):
+    chosen = hold(Stretch(boost=5.0))
+    assert chosen.held
+    assert chosen.following(np.full((40, 50), 200, np.uint8), 255, Stretch()) == chosen
 
 
 def test_limits_are_the_levels_shown_black_and_white():
@@ -120,3 +147,30 @@ def test_the_white_level_is_dragged_in_the_histogram(viewer):
     viewer.frame(0.0)
     assert session.stretch.white < before.white - 0.1
     assert session.stretch.black == pytest.approx(before.black)
+
+
+def test_the_window_s_sky_stays_dark_under_the_moon_unless_the_stretch_is_held(make_viewer):
+    """The full Moon of 2024-03-25 lights the image of a 12-bit sensor to thrice its usual range."""
+    flight = (
+        "fly:still?start_utc=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&heading_deg=30&pitch_deg=-30"
+    )
+    camera = {"sky.preset": "full", "camera.preset": "imx477:1332x990", "camera.lens_mm": 6.0, "camera.f_number": 1.2}
+    viewer = make_viewer(Path(flight), config=Config().override(**camera))
+    session = viewer.session
+
+    def brightness() -> float:
+        return float(np.median(session.stretch(session.image.pixels / np.float32(session.scene.white_dn))))
+
+    assert brightness() < 0.2
+    press(viewer, "Up")
+    held = session.stretch
+    assert held.held
+    session.head.seek_by(20.0)
+    viewer.frame(0.0)
+    assert session.stretch == held
+    session.stretch = Stretch.for_sensor(session.scene.sensor)
+    assert brightness() > 0.4
+    session.head.playing = True
+    for _ in range(30):
+        viewer.frame(1.0)
+    assert brightness() < 0.2

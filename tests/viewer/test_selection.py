@@ -6,8 +6,9 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.viewer.overlays.table import Overlay
-from glstar.viewer.skyobjects import Selection, object_place, star_cut_out, time_in_image_s
+from glstar.viewer.skyobjects import Selection, object_place, time_in_image_s
 from glstar.viewer.ui.interface import Interface
+from glstar.viewer.ui.panels.object import star_cut_out
 from tests.support.windowinput import click, press, screen, type_text
 from tests.viewer.conftest import write_flight
 

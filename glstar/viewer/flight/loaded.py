@@ -110,13 +110,13 @@ class InputField(NamedTuple):
     is_required: bool = True
 
 
-_UTC = InputField("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
-_SITE = (
+UTC_FIELD = InputField("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
+SITE_FIELDS = (
     InputField("latitude_deg", "latitude, deg", "-34.93 (south is negative)"),
     InputField("longitude_deg", "longitude, deg", "138.60 (west is negative)"),
     InputField("height_m", "height, m", "0 if left empty", is_required=False),
 )
-SITE_KEYS = tuple(each.key for each in _SITE)
+SITE_KEYS = tuple(each.key for each in SITE_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +143,7 @@ class MissingInputs:
         return cls(
             f"{path.name} has {' and '.join(lacking)}.",
             "Your input applies to this log only, and is saved with its settings and frames.",
-            ((_UTC,) if "UTC" in reasons else ()) + (_SITE if "position" in reasons else ()),
+            ((UTC_FIELD,) if "UTC" in reasons else ()) + (SITE_FIELDS if "position" in reasons else ()),
             typed,
             path,
             given,
@@ -153,7 +153,7 @@ class MissingInputs:
     def from_link(cls, endpoint: str, typed: Mapping[str, str]) -> "MissingInputs":
         """Return the site that a link does not send."""
         note = "Your input applies to this link until the viewer is closed."
-        return cls(f"{endpoint} sends no position.", note, _SITE, typed)
+        return cls(f"{endpoint} sends no position.", note, SITE_FIELDS, typed)
 
 
 def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
@@ -167,7 +167,7 @@ def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dic
         if not text:
             if each.is_required:
                 raise ConfigError(f"{each.label} is missing: type it as {each.hint}")
-        elif each is _UTC:
+        elif each.key == UTC_FIELD.key:
             parse_known_utc(text)
             keys[f"flight.{each.key}"] = text
         else:
@@ -392,9 +392,9 @@ class FlightLoader:
         assert missing.path is not None
         given = {**missing.given, **flight_keys(missing.fields, typed)}
         config = config.override(**given)
-        if _SITE[0] in missing.fields:
+        if SITE_FIELDS[0] in missing.fields:
             self.typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
-        if _UTC in missing.fields:
+        if UTC_FIELD in missing.fields:
             self._typed_utc[missing.path.resolve()] = typed["utc_start"]
         self.read(missing.path, config, given)
 

@@ -2,6 +2,8 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,34 @@ from glstar.viewer.overlays.belief import Belief, PlacedAnswer
 _MOST_ANSWERS = 1000
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherLog:
+    """Another log of the flight shown, such as that of a simulator, by the same clock: UTC."""
+
+    name: str
+    flight: Flight
+
+    @classmethod
+    def read(cls, path: Path, config: Config) -> "OtherLog":
+        """Read a log with the settings of the one shown, but its own attitude; raises GlstarError."""
+        own = config.override(**{"flight.attitude": "auto"})
+        return cls(path.stem, own.gimbal.carried(own.open_flight(path)))
+
+    def belief(self, C_camera_body: Float, simulator: Simulator, scene: Scene) -> Belief:
+        """Return what it has in the middle of an exposure, as an estimate against the flight shown."""
+        mid_s, attitude = scene.exposure.mid_utc_s, self.flight.attitude
+        if not attitude.first_s <= mid_s <= attitude.last_s or attitude.gap_within(mid_s, mid_s) is not None:
+            return Belief(self.name, lacking="nothing at this time")
+        q_body_ned = attitude.at(np.array([mid_s]))[0]
+        roll, pitch, _ = euler_from_quaternion(q_body_ned)
+        C_estimated_ned = C_camera_body @ matrix_from_quaternion(q_body_ned)
+        q_shown = simulator.flight.attitude.at(np.array([mid_s]))[0]
+        C_camera_estimated = simulator.mount.C_camera_body @ matrix_from_quaternion(q_shown) @ C_estimated_ned.T
+        at = self.flight.position.at(mid_s)
+        offset_km = surface_offset_km(simulator.flight.position.at(mid_s), at.latitude_rad, at.longitude_rad)
+        return Belief(self.name, C_camera_estimated, C_estimated_ned, float(roll), float(pitch), offset_km)
+
+
 class NavigatorView:
     """Computes what the navigator believes at the image shown.
 
@@ -32,6 +62,8 @@ class NavigatorView:
     def __init__(self) -> None:
         self.answers: Sequence[PlacedAnswer] = ()
         self.live: LiveFlight | None = None
+        self.others: tuple[OtherLog, ...] = ()  # Further logs of the same flight
+        self._others_of: tuple[OtherLog, ...] = ()
         self._navigator: tuple[Config, Flight, Navigator | None] | None = None
         self._live_navigator: tuple[Config, LiveNavigator] | None = None
         self._last: tuple[Scene, Sequence[PlacedAnswer], tuple[Belief, ...]] | None = None
@@ -49,7 +81,8 @@ class NavigatorView:
         """
         if loaded is None or simulator is None or scene is None:
             return ()
-        if self._last is not None and self._last[0] is scene and self._last[1] is self.answers:
+        is_same = self._last is not None and self._last[0] is scene and self._last[1] is self.answers
+        if self._last is not None and is_same and self._others_of == self.others:
             return self._last[2]
         answers, beliefs = self.answers, list[Belief]()
         record = self._live_record(loaded, scene) if loaded.is_live else self._record(loaded, scene)
@@ -62,12 +95,15 @@ class NavigatorView:
             if loaded.is_live and answer.utc_s < simulator.flight.attitude.first_s:
                 simulator = simulator.with_flight(loaded.flight)  # the whole buffer of the link
             beliefs.append(_answered(answer, simulator, scene))
+        C_camera_body = loaded.config.mount().C_camera_body
+        beliefs += [each.belief(C_camera_body, simulator, scene) for each in self.others]
+        self._others_of = self.others
         self._last = scene, answers, tuple(beliefs)
         return self._last[2]
 
     def lacking(self, loaded: LoadedFlight | None) -> str:
         """Return why there is neither an estimate nor an answer to draw; empty if there is one."""
-        if loaded is None or self.answers or self._may_differ(loaded):
+        if loaded is None or self.answers or self.others or self._may_differ(loaded):
             return ""
         if loaded.is_live:
             return (

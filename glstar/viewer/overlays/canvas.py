@@ -255,15 +255,26 @@ class Canvas:
         top = max(min(y - down * height, self.region.bottom_px - height), self.region.top_px)
         right = left + width
         across, down = (x - left) / width, (y - top) / height
-        first = floor(top / line)
-        for row in range(first, first + rows + 1):
-            for start, end in self._rows[row]:
-                if left < end and start < right:
-                    return False
-        for row in range(first, first + rows + 1):
-            self._rows[row].append((left, right))
+        occupied = range(floor(top / line), floor(top / line) + rows + 1)
+        if any(left < end and start < right for row in occupied for start, end in self._rows[row]):
+            return False
+        self._occupy(left, right, occupied)
         self._labels.setdefault((self.current, self.label_clear_px), []).append((text, (x, y), (across, down)))
         return True
+
+    def reserve(self, region: ImageRegion) -> None:
+        """Keep labels out of a part of the image.
+
+        Parameters
+        ----------
+        region : ImageRegion
+        """
+        first, last = floor(region.top_px / self._line_px), floor(region.bottom_px / self._line_px)
+        self._occupy(region.left_px, region.right_px, range(first, last + 1))
+
+    def _occupy(self, left: float, right: float, rows: range) -> None:
+        for row in rows:
+            self._rows[row].append((left, right))
 
     def shapes(self) -> Shapes:
         """Return everything that was added.

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 from itertools import chain
 from math import isfinite
 from typing import Any, Literal, NamedTuple
@@ -23,7 +24,9 @@ from glstar.render.readout.rows import recorded_positions
 from glstar.render.scene.scene import Scene
 from glstar.render.truth.frame import trail_centroids
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
+from glstar.sky.catalogue.messier import messier_objects
 from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.viewer.overlays.belief import Belief
 from glstar.viewer.overlays.canvas import (
@@ -191,6 +194,25 @@ def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
         (at,) = satellite.camera.project(satellite.shutter[1:2].to_camera(satellite.stars.direction_eq))[0]
         if canvas.region.contains(at):
             canvas.label(satellite.stars.name[0], at.tolist(), (0.0, 0.0))
+
+
+@lru_cache(maxsize=4)
+def _deep_sky_eq(epoch_utc_s: float) -> NDArray[np.float64]:
+    """Return the apparent directions of Messier's objects, (110, 3)."""
+    ra_rad, dec_rad = np.array([(each.ra_rad, each.dec_rad) for each in messier_objects()]).T
+    none = np.zeros(ra_rad.size)
+    return np.asarray(ASTROMETRY["erfa"].apparent_directions(ra_rad, dec_rad, none, none, epoch_utc_s))
+
+
+def _draw_deep_sky(canvas: Canvas, _: DrawingInputs) -> None:
+    """Draw a ring around each of Messier's objects, the brightest first, with its number."""
+    direction_eq = _deep_sky_eq(canvas.scene.stars.epoch_utc_s)
+    xy = canvas.camera.project(canvas.middle.to_camera(direction_eq)[0])
+    visible = np.flatnonzero(canvas.region.contains(xy))
+    canvas.mark(Mark.RING, xy[visible])
+    objects = messier_objects()
+    for i in sorted(visible.tolist(), key=lambda i: objects[i].vmag):
+        canvas.label(objects[i].label, (xy[i] + GAP_SCREEN_PX * canvas.screen_px * 0.7).tolist(), (0.0, 0.0))
 
 
 def _draw_constellation_names(canvas: Canvas, inputs: DrawingInputs) -> None:
@@ -394,6 +416,10 @@ class Overlay(StrEnum):
             draw=_draw_equatorial_labels,
         ),
     )
+    DEEP_SKY = (
+        "deep-sky objects",
+        OverlaySpec("Deep-sky objects of Messier", "O", 3, (120, 200, 190, 220), 150, draw=_draw_deep_sky),
+    )
     AXIS = ("optical axis", OverlaySpec("Optical axis and roll", "A", 1, (250, 92, 92, 230), 255, draw=_draw_axis))
     TICKS = (
         "sub-exposure ticks",
@@ -459,15 +485,16 @@ class Overlays:
         centroid_vmag_limit: float = 5.0,
         beliefs: tuple[Belief, ...] = (),
         residuals: TrailResiduals | None = None,
+        reserved: tuple[ImageRegion, ...] = (),
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
         `pixels`: see `DrawingInputs`, as the other inputs; without them the stars whose peak should saturate are
         marked.  `region`: the visible part of the image, by default all of it: lines end and grids are labelled at its
         edge.  `zoom`: screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on
-        it.
+        it.  `reserved`: parts of the image without labels.
         """
-        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals)
+        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals, reserved)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
             return self._last[3]
         if self._grids is None or self._grids.camera != scene.camera:
@@ -482,6 +509,8 @@ class Overlays:
             residuals=residuals,
         )
         canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
+        for part in reserved:
+            canvas.reserve(part)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)
         curves: dict[str, dict[str, Curves]] = {"eq": {}, "ned": {}}
         for overlay in reversed(by_rank):

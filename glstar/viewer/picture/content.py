@@ -245,6 +245,11 @@ class PanelPicture:
         self._inputs = inputs
         return self._display.texture(picture.placement.size) if self._place is None else None
 
+    @property
+    def is_new(self) -> bool:
+        """Whether `paint` has to draw the picture of this frame."""
+        return self._is_shown and (self._place is not None or self._inputs != self._in_texture)
+
     def paint(self, target: Framebuffer, size: tuple[int, int], colour: tuple[float, float, float]) -> None:
         """Draw the picture of this frame, if there is one, after the window has been cleared and before imgui draws.
 

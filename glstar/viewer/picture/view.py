@@ -70,6 +70,13 @@ _BRIGHT_PERCENTILE = 99.95
 _LEAST_RANGE = 20.0
 _LEAST_LEVELS = 1e-6
 
+# A stretch that follows the image samples this many of its pixels; its black is the median of the sky, and white at
+# least this many standard deviations higher: the sensor's own stretch has 17 of the bundled camera.
+_FOLLOWED_PIXELS = 40_000
+_FOLLOWED_RANGE = 16.0
+# It stays while the sky is within this many standard deviations of its black: noise does not make it flicker.
+_STEADY = 0.75
+
 # The initial boost, and the peak, as a fraction of white, that a star of V 3 has in the bundled camera at rest after
 # 0.5 s.  A camera with fainter stars gets more boost, so that its stars look as bright.
 _BOOST = 5.0
@@ -92,6 +99,7 @@ class Stretch:
     boost: float = 1.0  # Gain, as of a longer exposure; the paper shows its figures with 4
     black: float = 0.0  # The level shown black, as a fraction of white
     colours: ColourMap = ColourMap.GREY  # The colours of the brightness
+    held: bool = False  # Whether black and white were chosen, and no longer follow the image
 
     @classmethod
     def for_sensor(cls, sensor: Sensor) -> "Stretch":
@@ -117,17 +125,42 @@ class Stretch:
         bright_dn = float(np.percentile(sample, _BRIGHT_PERCENTILE))
         return self.between(black_dn / white_dn, max(bright_dn, black_dn + _LEAST_RANGE * deviation_dn) / white_dn)
 
+    def following(self, pixels: NDArray[Any], white_dn: int, usual: "Stretch") -> "Stretch":
+        """Return the stretch whose black and white follow an image: the sky is black, also under the Moon.
+
+        A sky as bright as that of the sensor's own stretch keeps that stretch; black is the median of a brighter or
+        darker one, and white far enough above its noise.  A stretch that is held stays, and so does one that fits.
+        `pixels` (height, width) uint8 or uint16: digital numbers; `white_dn`: the largest possible digital number;
+        `usual`: the stretch of the sensor (`for_sensor`).
+        """
+        if self.held:
+            return self
+        step = max(1, int((pixels.size / _FOLLOWED_PIXELS) ** 0.5))
+        sample = pixels[step // 2 :: step, step // 2 :: step].ravel()
+        # Spread over the width of a digital number, because medians of whole numbers are too coarse.
+        sample = sample + (np.arange(sample.size) * 0.618034) % 1.0 - 0.5
+        sky_dn = float(np.median(sample))
+        deviation_dn = max(robust_std(sample, sky_dn), 0.5)
+        range_dn = max(white_dn / usual.boost, _FOLLOWED_RANGE * deviation_dn)
+        # A saturated sky is bright, not black.
+        black_dn = min(max(sky_dn, 0.0), max(white_dn - range_dn / 2, 0.0))
+        for each in (usual, self):
+            is_wide = 0.8 * range_dn <= (each.white - each.black) * white_dn <= 1.25 * range_dn
+            if is_wide and abs(each.black * white_dn - black_dn) <= _STEADY * deviation_dn:
+                return replace(self, black=each.black, boost=each.boost)
+        return replace(self, black=black_dn / white_dn, boost=white_dn / range_dn)
+
     @property
     def white(self) -> float:
         """The level shown white, as a fraction of the largest digital number; it may lie above 1."""
         return self.black + 1 / self.boost
 
     def between(self, black: float, white: float) -> "Stretch":
-        """Return the stretch with other limits.
+        """Return the stretch with other limits, which are held.
 
         `black`, `white`: the levels shown black and white, as fractions of the largest digital number.
         """
-        return replace(self, black=black, boost=1 / max(white - black, _LEAST_LEVELS))
+        return replace(self, black=black, boost=1 / max(white - black, _LEAST_LEVELS), held=True)
 
     @property
     def softening(self) -> float:
@@ -145,8 +178,8 @@ class Stretch:
         return np.asarray(np.arcsinh(self.softening * linear) / np.arcsinh(self.softening), dtype=np.float32)
 
     def brighter(self, factor: float) -> "Stretch":
-        """Return a stretch with the boost multiplied by a factor, limited to 1/8 and 1024."""
-        return replace(self, boost=min(max(self.boost * factor, _MIN_BOOST), _MAX_BOOST))
+        """Return a stretch with the boost multiplied by a factor, limited to 1/8 and 1024, which is held."""
+        return replace(self, boost=min(max(self.boost * factor, _MIN_BOOST), _MAX_BOOST), held=True)
 
     def for_white(self, before_dn: int, now_dn: int) -> "Stretch":
         """Return the stretch that shows digital numbers as bright as before after the white level has changed.

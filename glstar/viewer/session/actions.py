@@ -6,15 +6,19 @@ A link is recorded, its frames are exported, a vehicle is chosen, or it is disco
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from math import pi, radians
+from pathlib import Path
 from threading import Thread
 
 from glstar.export.directory import explain_disk_errors
 from glstar.viewer.flight.live import LiveFlight
+from glstar.viewer.flight.navigator import OtherLog
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.simulated import why_not_processed
 from glstar.viewer.session.keys import Action, AnyAction
+from glstar.viewer.session.memory import Place
 from glstar.viewer.session.recording import BackgroundLiveExport
 from glstar.viewer.session.saving import record_video, save_comparison, save_frame, unused_path
 from glstar.viewer.session.state import Session
@@ -157,6 +161,24 @@ def select_object(session: Session, selection: Selection, target: SkyObject | No
         session.notify(message)
 
 
+def open_beside(session: Session, path: Path) -> None:
+    """Show another log of the flight shown as an estimate: arrow, horizon, figures, and its place on the map."""
+    with session.errors_reported():
+        other = OtherLog.read(path, session.config)
+        session.navigator.others = (*session.navigator.others, other)
+        session.shown_overlays |= {Overlay.NAVIGATOR}
+        session.notify(f"{path.name} beside the flight; its clock must be UTC too")
+
+
+def open_sky(session: Session, place: Place, utc_s: float) -> None:
+    """Show the sky of a place from a time on, as it moves, with the free camera towards the equator."""
+    session.plays = place.sky(utc_s)
+    look = session.look
+    look.azimuth_rad, look.altitude_rad = (pi if place.latitude_deg >= 0 else 0.0), radians(35.0)
+    look.is_on = True
+    session.open_flight(session.plays)
+
+
 def fit_stretch(session: Session) -> None:
     """Fit the display stretch to the image shown."""
     pixels = session.image.pixels
@@ -192,6 +214,16 @@ def _zoom(session: Session, factor: float) -> None:
     session.view.zoom_at(session.view.middle, factor)
 
 
+def _look_around(session: Session) -> None:
+    if session.look.is_on:
+        session.look.is_on = False
+        session.view.fit()
+    elif session.comparison.mode is not ComparisonMode.OFF:
+        session.notify("looking around shows no real images: end the comparison first")
+    else:
+        session.look.begin(session.scene)
+
+
 _VIEW: dict[Action, Callable[[Session], None]] = {
     Action.FIT: lambda session: session.view.fit(),
     Action.ONE_TO_ONE: lambda session: session.view.one_to_one(),
@@ -205,6 +237,7 @@ _VIEW: dict[Action, Callable[[Session], None]] = {
     Action.COLOURS: _next_colours,
     Action.PIXEL_GRID: lambda session: setattr(session.view, "pixel_grid", not session.view.pixel_grid),
     Action.PROCESSED: _show_processed,
+    Action.LOOK: _look_around,
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
     Action.RECORD_LINK: record_link,
@@ -216,6 +249,27 @@ _VIEW: dict[Action, Callable[[Session], None]] = {
 }
 
 
+# What an action needs besides a window.
+_NEEDS_LINK = frozenset({Action.RECORD_LINK, Action.EXPORT_LINK, Action.DISCONNECT, Action.LIVE})
+_NEEDS_IMAGE = frozenset(
+    {Action.SAVE_FRAME, Action.EXPORT, Action.SAVE_PICTURE, Action.SAVE_PLAIN_PICTURE, Action.COPY_PICTURE}
+    | {Action.VIDEO, Action.VIDEO_OF_RANGE, Action.FIND, Action.FIT_STRETCH, Action.LOOK, Action.BLINK_NOISE}
+)
+
+
+def is_possible(action: AnyAction, session: Session) -> bool:
+    """Return whether an action can do anything now: the others are grey in the menu."""
+    if action in _NEEDS_LINK:
+        return session.live is not None
+    if action in _COMPARISON or action is Action.SAVE_VIEW:
+        return session.comparison.images is not None
+    if action is Action.OPEN_BESIDE:
+        return session.loaded is not None and not session.loaded.is_live
+    if action in _NEEDS_IMAGE:
+        return session.scene is not None or session.video is not None
+    return session.head is not None or action not in _HEAD
+
+
 def is_on(action: AnyAction, session: Session) -> bool:
     """Return whether the setting of an action is on: the tick in the menu."""
     if isinstance(action, Overlay):
@@ -225,6 +279,8 @@ def is_on(action: AnyAction, session: Session) -> bool:
     head = session.head
     return {
         Action.NIGHT: session.night,
+        Action.LOOK: session.look.is_on,
+        Action.OPEN_BESIDE: bool(session.navigator.others),
         Action.PROCESSED: session.shows_processed,
         Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,

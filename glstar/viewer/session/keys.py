@@ -31,10 +31,12 @@ class Action(StrEnum):
         return member
 
     OPEN = "open", "File", "Open a flight log", ("Ctrl+O",)
+    OPEN_BESIDE = "open beside", "File", "Open another log of this flight beside it, or close it", ("Ctrl+B",)
     CONNECT = "connect", "File", "Connect to a telemetry link", ("Ctrl+L",)
     RECORD_LINK = "record link", "File", "Record the link to a .tlog, or stop"
     EXPORT_LINK = "export link", "File", "Export the frames of the link as they are exposed, or stop"
     DISCONNECT = "disconnect", "File", "Disconnect from the link; its flight stays"
+    SKY = "sky", "File", "Sky of a place and time", ("Ctrl+K",)
     OPEN_SETTINGS = "open settings", "File", "Open settings (TOML)", ("Ctrl+Shift+O",)
     OPEN_IMAGES = "open images", "File", "Open a folder of real images", ("Ctrl+I",)
     CALIBRATE = "calibrate", "File", "Calibrate a camera from a photograph of the stars", ("Ctrl+Shift+P",)
@@ -88,6 +90,7 @@ class Action(StrEnum):
     COLOURS = "colours", "View", "Next colour map", ("Shift+C",)
     PIXEL_GRID = "pixel grid", "View", "Grid of the image's pixels where it is magnified", ("J",)
     PROCESSED = "processed image", "View", "Raw or processed image, as [output] writes it", ("Shift+P",)
+    LOOK = "look around", "View", "Look around freely, or along the aircraft's camera again", ("Tab",)
     NIGHT = "night", "View", "Night-vision red", ("N",)
     HIDE = "hide", "View", "Hide all but the image", ("H", "Ctrl+T")
     FULL_SCREEN = "full screen", "View", "Full screen", ("F11",)

@@ -1,21 +1,78 @@
 """What the window remembers: its state from one start to the next, settings to undo, and messages for some seconds."""
 
 import json
+import os
+import re
 import time
+import zoneinfo
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from glstar.config import Config
+from glstar.sky.place.timescale import format_utc
 from glstar.system.files import write_atomically
 from glstar.system.userinput import read_json
 from glstar.viewer.overlays.table import Overlay
 
 # Number of flights that are remembered.
 _MAX_RECENT = 10
+# How long the sky of a place lasts, s, and the greatest height of a place, m.
+_SKY_S = 6 * 3600.0
+_HIGHEST_M = 100_000.0
 # Valid sizes of a remembered window, screen px.
 _SIZES = (200, 20_000)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place on the Earth."""
+
+    latitude_deg: float  # WGS84
+    longitude_deg: float  # Positive eastward
+    height_m: float = 0.0
+    name: str = ""  # Of the city of a time zone; empty for a place that the user has typed
+
+    @classmethod
+    def stored(cls, stored: object) -> "Place | None":
+        """Return a place from latitude, longitude and height as stored; None if they are not valid."""
+        if not isinstance(stored, list) or len(stored) != 3:
+            return None
+        if not all(isinstance(each, int | float) for each in stored):
+            return None
+        latitude_deg, longitude_deg, height_m = map(float, stored)
+        is_valid = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and abs(height_m) <= _HIGHEST_M
+        return cls(latitude_deg, longitude_deg, height_m) if is_valid else None
+
+    @classmethod
+    def of_time_zone(cls) -> "Place | None":
+        """Return the city of this computer's time zone, as the system's table has it; None if it names none."""
+        zone = os.environ.get("TZ", "").removeprefix(":") or str(Path("/etc/localtime").resolve())
+        for folder in zoneinfo.TZPATH:
+            try:
+                lines = Path(folder, "zone.tab").read_text(encoding="utf-8").splitlines()
+            except OSError:
+                continue
+            for line in lines:
+                match line.split("\t"):
+                    case [_, at, name, *_] if not line.startswith("#") and zone.endswith(name):
+                        latitude_deg, longitude_deg = map(_degrees, re.findall(r"[+-]\d+", at))
+                        return cls(latitude_deg, longitude_deg, name=name.rpartition("/")[2].replace("_", " "))
+        return None
+
+    def sky(self, utc_s: float) -> Path:
+        """Return a flight at rest here for some hours from a time on, UTC seconds since 1970."""
+        at = f"latitude_deg={self.latitude_deg:g}&longitude_deg={self.longitude_deg:g}&height_m={self.height_m:g}"
+        return Path(f"fly:still?start_utc={format_utc(utc_s)}&{at}&duration_s={_SKY_S:g}&rate_hz=1")
+
+
+def _degrees(text: str) -> float:
+    """Return an angle of the table of time zones, such as ``"-3455"`` and ``"+1383500"``, deg."""
+    digits = text[1:]
+    whole = 3 if len(digits) in {5, 7} else 2
+    seconds = int(digits[whole + 2 :] or 0)
+    return float(f"{text[0]}1") * (int(digits[:whole]) + int(digits[whole : whole + 2]) / 60 + seconds / 3600)
 
 
 @dataclass(slots=True, eq=False)
@@ -29,6 +86,7 @@ class WindowMemory:
     night: bool = False
     overlays: frozenset[Overlay] | None = None  # None for the default
     text_scale: float = 1.0  # Size of the text; 1 at first
+    place: Place | None = None  # The place typed last
     has_toured: bool = False  # Whether the tour of the window has been shown
 
     @classmethod
@@ -49,6 +107,7 @@ class WindowMemory:
             night=stored.get("night") is True,
             overlays=_overlays(overlays) if isinstance(overlays, list) else None,
             text_scale=float(text_scale) if isinstance(text_scale, int | float) else 1.0,
+            place=Place.stored(stored.get("place")),
             # Who has used the window before there was a tour needs none.
             has_toured=stored.get("has_toured", bool(stored)) is True,
         )
@@ -62,6 +121,7 @@ class WindowMemory:
         """Write the file; a folder that cannot be written is no reason to disturb the user."""
         if self.file is None:
             return
+        place = self.place
         overlays = None if self.overlays is None else sorted(overlay.value for overlay in self.overlays)
         stored = {
             "recent": self.recent,
@@ -69,6 +129,7 @@ class WindowMemory:
             "night": self.night,
             "overlays": overlays,
             "text_scale": self.text_scale,
+            "place": None if place is None else [place.latitude_deg, place.longitude_deg, place.height_m],
             "has_toured": self.has_toured,
         }
         try:

@@ -44,9 +44,8 @@ def save_frame(session: Session) -> None:
         session.notify(f"no image to save: {session.status or 'none has been drawn yet'}", is_error=True)
         return
     exposure, number = image.scene.exposure, image.number
-    flight = loaded.flight
-    if loaded.is_live and image.simulator is not None:
-        flight = image.simulator.flight
+    # The simulator of a live flight has the samples of the exposure shown.
+    flight = loaded.simulator.flight if loaded.is_live else loaded.flight
     keys = {f"exposure.{name}": getattr(exposure, name) for name in ("duration_s", "rate_hz", "readout_s", "frames")}
     start_s = 0.0 if number is not None else round(exposure.start_utc_s - flight.attitude.first_s, 6)
     named_s = exposure.start_utc_s - loaded.head.origin_s

@@ -21,8 +21,9 @@ from glstar.render.simulator import Simulator
 from glstar.telemetry import is_bag_directory
 from glstar.viewer.flight import loaded as loadedflight
 from glstar.viewer.flight.live import LiveFlight
+from glstar.viewer.flight.lookaround import LookAround
 from glstar.viewer.flight.navigator import NavigatorView
-from glstar.viewer.flight.playhead import PlayHead, no_exposure
+from glstar.viewer.flight.playhead import Mode, PlayHead, no_exposure
 from glstar.viewer.flight.sky import Conditions, CurrentConditions
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.overlays.table import Overlay
@@ -38,6 +39,9 @@ _STARTS_PER_S = 1e6
 
 # Star directions of a live flight are computed again after this time, s: they change by 0.03" an hour.
 _STARS_S = 3600.0
+
+# Interval of flight after which a stretch that follows the image is fitted again while the flight plays, s.
+_FOLLOW_S = 0.5
 
 # Suffixes of files that describe a camera and its lens.
 _CAMERA_FILES = (".yaml", ".yml", ".json")
@@ -70,6 +74,7 @@ class Session:
         self.notify = self.notifications.add  # Shows a message for some seconds
         self.view = ImageView()
         self.navigator = NavigatorView()
+        self.look = LookAround()  # The camera that the user turns, if it is on
         self.stretch = Stretch.for_sensor(config.sensor())
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
         self.night = False
@@ -91,6 +96,9 @@ class Session:
         self._latest: LatestAttitude | None = None
         self._control: ControlledExposure | None = None
         self._measured: Scene | None = None
+        self.plays: Path | None = None  # The flight that plays when it has been loaded
+        # The scene to which the stretch was fitted last.
+        self.followed: Scene | None = None
         # A simulator, the exposure time, s, and the gain of the control, and the simulator with them.
         self._as_set: tuple[Simulator, tuple[float, float], Simulator] | None = None
 
@@ -144,10 +152,12 @@ class Session:
         exposure, number = _exposure_to_show(loaded, self.comparison)
         if self._shows_link and self.live is not None and loaded.extend(exposure, self.live.last):
             exposure, number = _exposure_to_show(loaded, self.comparison)
-        shot = self._exposed(Shot(loaded.simulator, exposure, control=self.config.exposure.exposure_control))
+        simulator = self.look.of(loaded.simulator) if self.is_looking else loaded.simulator
+        shot = self._exposed(Shot(simulator, exposure, control=self.config.exposure.exposure_control))
         request = ImageRequest(shot.exposure, number, shot.simulator, self.comparison.is_noiseless)
         drawn = self.image.update(request, playing=head.playing and not head.live)
         self._measure()
+        _follow_image(self)
         if drawn and head.live and self.live is not None and self._latest is not None:
             self.live.drew(self._latest, self.scene, self.config.exposure.duration_s)
 
@@ -176,6 +186,10 @@ class Session:
         if pixels is not None and electrons is not None:
             level = level_of(self._control.control, scene.exposure, scene.sensor, pixels)
             self._control = self._control.after(level, scene.exposure.duration_s * electrons.analogue_gain)
+
+    def follow_image(self) -> None:
+        """Fit the stretch to the image shown in the next update, unless it is held."""
+        self.followed = None
 
     # --- live flights ---
 
@@ -256,6 +270,11 @@ class Session:
         if (stale_s := self.stale_s) is not None and live is not None:
             return f"{live.stale_message(stale_s)}\n{live.status.problem or ''}".strip()
         return _status_at(loaded, self.comparison, self.image.gap)
+
+    @property
+    def is_looking(self) -> bool:
+        """Whether the image is that of the free camera; real images are compared with the aircraft's own."""
+        return self.look.is_on and self.comparison.mode is ComparisonMode.OFF
 
     @property
     def conditions(self) -> Conditions | None:
@@ -367,6 +386,11 @@ class Session:
         elif before is not None:
             loaded.continue_from(before)
         self.loaded = loaded
+        if before is None or before.path != loaded.path:
+            self.navigator.others = ()
+        if loaded.path is not None and loaded.path == self.plays:
+            self.plays = None
+            loaded.head.mode, loaded.head.playing = Mode.SLIDING, True
         self._opening_error = ""
         self.image.error = ""
         self.comparison.flight_offset_s = loaded.flight.time_offset_s
@@ -429,6 +453,26 @@ class Session:
         self.comparison.close()
         if self.live is not None:
             self.live.close()
+
+
+def _follow_image(session: Session) -> None:
+    """Fit black and white to a new image unless they are held; while the flight plays, twice a second of it."""
+    scene, before = session.scene, session.followed
+    if scene is None or scene is before or session.stretch.held:
+        return
+    if session.is_playing and before is not None and _is_near(before, scene):
+        return
+    pixels = session.image.pixels
+    if pixels is not None:
+        session.followed = scene
+        session.stretch = session.stretch.following(pixels, scene.white_dn, Stretch.for_sensor(scene.sensor))
+
+
+def _is_near(before: Scene, scene: Scene) -> bool:
+    """Return whether an image follows another one so closely that the same stretch fits it."""
+    elapsed_s = abs(scene.exposure.start_utc_s - before.exposure.start_utc_s)
+    is_alike = before.sensor is scene.sensor and before.exposure.duration_s == scene.exposure.duration_s
+    return is_alike and elapsed_s < _FOLLOW_S
 
 
 def _exposure_to_show(loaded: loadedflight.LoadedFlight, comparison: ComparisonState) -> tuple[Exposure, int | None]:

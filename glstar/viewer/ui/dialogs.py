@@ -6,8 +6,10 @@ Files are chosen in the system's own dialog, or typed into a text field if there
 import os
 import shutil
 import sys
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from math import degrees
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
@@ -17,7 +19,11 @@ from imgui_bundle import portable_file_dialogs as pfd
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import ImageFormat
 from glstar.link import serial_ports
-from glstar.viewer.flight.loaded import MissingInputs
+from glstar.sky.place.timescale import format_utc, parse_utc
+from glstar.viewer.flight.loaded import SITE_FIELDS, SITE_KEYS, UTC_FIELD, InputField, MissingInputs, flight_keys
+from glstar.viewer.session.actions import open_sky
+from glstar.viewer.session.keys import shown_chord
+from glstar.viewer.session.memory import Place
 from glstar.viewer.session.recording import RangeVideo, VideoRange
 from glstar.viewer.session.saving import SCREEN_FRAMES_PER_S, file_stem, save_range, unused_path
 from glstar.viewer.session.state import Session
@@ -25,6 +31,8 @@ from glstar.viewer.ui.theme import button_size, centre_next_window, draw_wrapped
 
 Kind = Literal["open", "save", "folder"]
 
+# A time, latitude, longitude and height.
+_SKY_FIELDS = (UTC_FIELD._replace(label="UTC"), *SITE_FIELDS)
 _AUTO = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 # Width of the widest field of a dialog, screen px.
@@ -270,17 +278,11 @@ class MissingDialog:
         imgui.text(missing.message)
         imgui.text_disabled(missing.note)
         imgui.pop_text_wrap_pos()
-        entered = False
-        for field in missing.fields:
-            if self._focus:
-                imgui.set_keyboard_focus_here()
-                self._focus = False
-            imgui.set_next_item_width(0.5 * width_px)
-            typed = self._typed.get(field.key, "")
-            enter, self._typed[field.key] = imgui.input_text_with_hint(field.label, field.hint, typed, _ENTER)
-            if self._typed[field.key] != typed:
-                self._error = ""
-            entered |= enter
+        before = dict(self._typed)
+        entered = draw_fields(missing.fields, self._typed, width_px, focus=self._focus)
+        self._focus = False
+        if self._typed != before and not entered:
+            self._error = ""
         if self._error:
             draw_wrapped(self._error, error(), wrap_px=width_px)
         if imgui.button("OK", button_size()) or entered:
@@ -341,6 +343,95 @@ class VideoDialog(RangeDialog):
             min(max(head.origin_s + end_s, head.first_s), head.last_s) for end_s in (self.start_s, self.stop_s)
         )
         return VideoRange(start_s, stop_s, self._speed, self._frames_per_s)
+
+
+class SkyDialog:
+    """Asks for a place and a time, and shows their sky.
+
+    `place`: typed last; None until then.
+    """
+
+    _TITLE = "Sky of a place and time"
+
+    def __init__(self) -> None:
+        self.place: Place | None = None
+        self._opening = False
+        self._typed: dict[str, str] = {}
+        self._error = ""
+
+    def show_now(self, session: Session) -> None:
+        """Show the sky of now at the place typed last, or in the city of the time zone; ask if neither is known."""
+        place = self.place or Place.of_time_zone()
+        if place is None:
+            self.ask(session)
+            return
+        if place.name:
+            session.notify(f"{place.name}, by this computer's time zone; another place: {shown_chord('Ctrl+K')}")
+        open_sky(session, place, time.time())
+
+    def ask(self, _session: Session) -> None:
+        """Open the dialog with the place typed last and the present time."""
+        place = self.place or Place.of_time_zone()
+        site = (
+            {}
+            if place is None
+            else dict(
+                zip(
+                    SITE_KEYS,
+                    (f"{each:g}" for each in (place.latitude_deg, place.longitude_deg, place.height_m)),
+                    strict=True,
+                )
+            )
+        )
+        self._typed = {UTC_FIELD.key: f"{format_utc(time.time())[:19]}Z", **site}
+        self._error = ""
+        self._opening = True
+
+    def draw(self, session: Session) -> None:
+        """Draw the dialog if it is open."""
+        if self._opening:
+            imgui.open_popup(self._TITLE)
+        centre_next_window()
+        if not imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
+            return
+        width_px = scaled_across(_WIDTH)
+        entered = draw_fields(_SKY_FIELDS, self._typed, width_px, focus=self._opening)
+        self._opening = False
+        if imgui.button("Now", button_size()):
+            self._typed[UTC_FIELD.key] = f"{format_utc(time.time())[:19]}Z"
+        if self._error:
+            draw_wrapped(self._error, error(), wrap_px=width_px)
+        if imgui.button("OK", button_size()) or entered:
+            self._accept(session)
+        _draw_cancel()
+        imgui.end_popup()
+
+    def _accept(self, session: Session) -> None:
+        try:
+            keys = flight_keys(_SKY_FIELDS, self._typed)
+            site = session.config.override(**keys).flight.site
+        except ConfigError as refusal:
+            self._error = str(refusal)
+            return
+        assert site is not None
+        imgui.close_current_popup()
+        self.place = Place(degrees(site.latitude_rad), degrees(site.longitude_rad), site.height_m)
+        open_sky(session, self.place, parse_utc(self._typed[UTC_FIELD.key]))
+
+
+def draw_fields(fields: tuple[InputField, ...], typed: dict[str, str], width_px: float, *, focus: bool) -> bool:
+    """Draw fields of text; return whether Enter was pressed in one.
+
+    `typed`: their contents by key, which change; `focus`: whether to begin to type into the first.
+    """
+    entered = False
+    for number, field in enumerate(fields):
+        if focus and number == 0:
+            imgui.set_keyboard_focus_here()
+        imgui.set_next_item_width(0.5 * width_px)
+        enter, typed[field.key] = imgui.input_text_with_hint(field.label, field.hint, typed.get(field.key, ""), _ENTER)
+        entered |= enter
+    return entered
 
 
 _CONNECT_TITLE = "Connect to a telemetry link"

@@ -28,10 +28,16 @@ _WELCOME_FLAGS = int(
 _ORBIT = Path("fly:orbit?radius_m=300&gusts=light")
 
 
-def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyAction], None]) -> None:
+def draw_welcome(
+    session: Session,
+    recent: list[str],
+    perform: Callable[[AnyAction], None],
+    show_sky_now: Callable[[Session], None],
+) -> None:
     """Draw the welcome if there is neither a flight nor a link, and none is being opened.
 
-    `recent`: the flights opened last, the latest first; `perform`: performs an action of the table of keys.
+    `recent`: the flights opened last, the latest first; `perform`: performs an action of the table of keys;
+    `show_sky_now`: shows the sky here and now.
     """
     if session.loaded is not None or session.live is not None or session.loader.is_busy or session.status:
         return
@@ -47,6 +53,9 @@ def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyActi
     _button("Open a flight log  (Ctrl+O)", width, lambda: perform(Action.OPEN))
     _button("Connect to a telemetry link  (Ctrl+L)", width, lambda: perform(Action.CONNECT))
     imgui.text_disabled("or drop a log onto the window")
+    imgui.separator_text("Sky")
+    _button("Here and now", width, lambda: show_sky_now(session))
+    _button("Of a place and time  (Ctrl+K)", width, lambda: perform(Action.SKY))
     imgui.separator_text("Try")
     _button("The bundled flight over Adelaide", width, lambda: session.open_flight(bundled_flight()))
     _button("An orbit of 300 m radius in light gusts", width, lambda: session.open_flight(_ORBIT))

@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl import Context, Framebuffer
 from glstar.viewer.picture.content import Display
-from glstar.viewer.session.actions import is_on, perform
+from glstar.viewer.session.actions import is_on, is_possible, open_beside, perform
 from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.session.memory import Notification, SettingsHistory
 from glstar.viewer.session.saving import PictureAction, save_problem_report, save_settings, unused_path
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection
 from glstar.viewer.ui.calibration import PHOTO_SUFFIXES, CalibrateWindow
-from glstar.viewer.ui.dialogs import ConnectDialog, ExportDialog, FileChooser, MissingDialog, VideoDialog
+from glstar.viewer.ui.dialogs import ConnectDialog, ExportDialog, FileChooser, MissingDialog, SkyDialog, VideoDialog
 from glstar.viewer.ui.guide import ManualWindow, Tour, draw_help, draw_welcome
 from glstar.viewer.ui.layout import OBJECT, Panels
+from glstar.viewer.ui.painting import Rect, WindowPainter
 from glstar.viewer.ui.panels.image import ImagePanel
 from glstar.viewer.ui.search import CommandPalette, FindWindow
 from glstar.viewer.ui.status import draw_notifications, draw_status_bar
@@ -40,6 +41,8 @@ _KEY_NAMES = {
     "Page Down": "page_down",
     **{str(digit): f"_{digit}" for digit in range(10)},
 }
+# Any number that no control has.
+_TAB_OWNER = 0x67_6C_73
 _MODIFIERS = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
 
 
@@ -76,6 +79,8 @@ class Keyboard:
             imgui.internal.close_popup_to_level(0, True)
         if self.is_typing or popup:
             return
+        # Tab is an action here: imgui would begin to type into the next field.
+        imgui.internal.set_key_owner(imgui.Key.tab, _TAB_OWNER)
         for key, chords in self._chords:
             for code, modifiers in chords:
                 down = modifiers_here if imgui.is_key_pressed(code, False) else modifiers_now
@@ -90,7 +95,7 @@ def parse_chord(text: str) -> tuple[imgui.Key, int]:
     return code, sum(int(_MODIFIERS[modifier]) for modifier in modifiers)
 
 
-_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour | CalibrateWindow
+_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour | CalibrateWindow | SkyDialog
 
 
 class Interface:
@@ -120,7 +125,6 @@ class Interface:
         self.text_scale = 1.0  # Size of the text that the user has chosen
         # Those of the last frame: a paused window is drawn again when they change.
         self.drawn_notifications: list[Notification] = []
-        self._context = context
         self._imgui = imgui.create_context()
         self._implot = implot.create_context()
         io = imgui.get_io()
@@ -130,6 +134,7 @@ class Interface:
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
+        self.painter = WindowPainter(context)
         self.selection = Selection()
         self._image = ImagePanel(self._display, self.selection)
         has_layout = layout is not None and layout.exists()
@@ -144,11 +149,13 @@ class Interface:
         self._find = FindWindow(self.selection)
         self._connect = ConnectDialog()
         self._palette = CommandPalette()
+        self.sky = SkyDialog()
         self.calibration = CalibrateWindow(context, self.files)
         self._dialogs: dict[AnyAction, _Asks] = {
             Action.PALETTE: self._palette,
             Action.FIND: self._find,
             Action.CONNECT: self._connect,
+            Action.SKY: self.sky,
             Action.EXPORT: self._exports,
             Action.VIDEO_OF_RANGE: self._videos,
             Action.TOUR: self.tour,
@@ -185,12 +192,13 @@ class Interface:
             self._draw_menus()
             draw_status_bar(session)
             self._panels.draw()
-            draw_welcome(session, self.recent, self.perform)
+            draw_welcome(session, self.recent, self.perform, self.sky.show_now)
         self.drawn_notifications = draw_notifications(session)
         self.files.draw()
         self._exports.draw(session)
         self._videos.draw(session)
         self._missing.draw(session)
+        self.sky.draw(session)
         self._manual.draw()
         self.calibration.draw(session)
         self.tour.draw()
@@ -207,16 +215,14 @@ class Interface:
         """Draw the interface that `frame` built; `size`: its width and height, px."""
         times = self.session.times
         surface = imgui.get_style_color_vec4(imgui.Col_.window_bg)
+        colour = (surface.x, surface.y, surface.z)
         with times.span("presenting"):
-            target.use()
-            self._context.viewport = 0, 0, *size
-            self._context.clear(surface.x, surface.y, surface.z, 1.0)
+            picture_px = self._image.new_picture_px
+            copy = self.painter.begin(size, colour, None if picture_px is None else Rect(*picture_px))
         with times.span("drawing"):
-            self._image.paint(target, size, (surface.x, surface.y, surface.z))
+            self._image.paint(copy, size, colour)
         with times.span("presenting"):
-            target.use()
-            self._context.viewport = 0, 0, *size
-            imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
+            self.painter.finish(target)
 
     @property
     def visible_px(self) -> tuple[int, int, int, int] | None:
@@ -294,6 +300,17 @@ class Interface:
         match action:
             case Action.OPEN:
                 files.ask("open", "Open a flight log", session.loader.last_opened or Path.cwd(), session.open)
+            case Action.OPEN_BESIDE if session.loaded is None or session.loaded.is_live:
+                session.notify("open a log first (Ctrl+O): another one of the same flight is shown beside it")
+            case Action.OPEN_BESIDE if session.navigator.others:
+                session.navigator.others = ()
+            case Action.OPEN_BESIDE:
+                files.ask(
+                    "open",
+                    "Open another log",
+                    session.loader.last_opened or Path.cwd(),
+                    lambda path: open_beside(session, path),
+                )
             case Action.OPEN_SETTINGS:
                 files.ask("open", "Open settings", Path.cwd() / "glstar.toml", session.open_settings)
             case Action.OPEN_IMAGES:
@@ -312,7 +329,8 @@ class Interface:
             if imgui.begin_menu(menu):
                 for key in (key for key in KEYS if key.menu == menu):
                     shortcut = shown_chord(key.chords[0]) if key.chords else ""
-                    if imgui.menu_item(key.label, shortcut, is_on(key.action, self.session))[0]:
+                    is_enabled = is_possible(key.action, self.session)
+                    if imgui.menu_item(key.label, shortcut, is_on(key.action, self.session), is_enabled)[0]:
                         self.perform(key.action)
                 imgui.end_menu()
         flight = self.session.flight
@@ -328,6 +346,7 @@ class Interface:
         """Release the interface's objects on the GPU and in imgui; the session stays the caller's."""
         self.files.close()
         self.calibration.close()
+        self.painter.close()
         self._display.close()
         imgui.backends.opengl3_shutdown()
         implot.destroy_context(self._implot)

@@ -222,7 +222,10 @@ class Panels:
         for key in KEYS:
             if key.menu == "Overlays":
                 is_shown = is_on(key.action, self._session)
-                if draw_checkbox(key.label, is_shown, f"key {shown_chord(key.chords[0])}") != is_shown:
+                # A long label has its details in the tooltip: the panel is narrow.
+                label, _, details = key.label.partition(": ")
+                tooltip = f"{details + chr(10) if details else ''}key {shown_chord(key.chords[0])}"
+                if draw_checkbox(label, is_shown, tooltip) != is_shown:
                     self._perform(key.action)
 
     def _draw_comparison(self) -> None:

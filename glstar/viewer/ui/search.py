@@ -159,4 +159,4 @@ class FindWindow:
 
 
 def _object_line(target: SkyObject) -> str:
-    return f"{target.label}   " + (f"V {target.vmag:.2f}" if target.star_id else target.kind)
+    return f"{target.label}   " + (f"V {target.vmag:.2f}" if target.star_id else target.kind.value)

@@ -180,11 +180,12 @@ def _exposure_text(scene: Scene) -> str:
 
 def _draw_time(loaded: LoadedFlight) -> None:
     head = loaded.head
-    imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
+    digits = 1 if head.playing else 3  # the others could not be read while it plays
+    imgui.text(f"{format_utc(head.utc_s)[: 20 + digits]}Z")
     if loaded.flight.time_offset_s:
-        _item(f"camera {format_utc(head.utc_s + loaded.flight.time_offset_s)[11:23]}Z")
+        _item(f"camera {format_utc(head.utc_s + loaded.flight.time_offset_s)[11 : 20 + digits]}Z")
     if not head.grows:
-        _item(f"{head.second:.3f} / {head.length_s:.1f} s")
+        _item(f"{head.second:.{digits}f} / {head.length_s:.1f} s")
     if not head.live:
         grey = imgui.get_style_color_vec4(imgui.Col_.text_disabled)
         _item(f"x{head.speed:g}{'' if head.playing else ' paused'}", None if head.playing else grey)
@@ -266,15 +267,17 @@ def _item(text: str, colour: ImVec4 | None = None) -> None:
 
 
 def draw_notifications(session: Session) -> list[Notification]:
-    """Draw the notifications in the bottom right corner, the latest lowest, and return them.
+    """Draw the notifications in the bottom right corner, the latest lowest, and return those that have not expired.
 
-    A click dismisses an error.  A message lets the mouse through to the controls that it covers for some seconds.
+    The message that is written in the image panel is not drawn a second time.  A click dismisses an error.  A message
+    lets the mouse through to the controls that it covers for some seconds.
     """
     viewport = imgui.get_main_viewport()
     right = viewport.work_pos.x + viewport.work_size.x - _MARGIN_PX
     bottom = viewport.work_pos.y + viewport.work_size.y - _MARGIN_PX
     drawn = session.notifications.current
-    for index, notification in enumerate(reversed(drawn)):
+    others = [each for each in drawn if each.message != session.status]
+    for index, notification in enumerate(reversed(others)):
         imgui.set_next_window_pos(ImVec2(right, bottom), 0, ImVec2(1.0, 1.0))
         imgui.set_next_window_bg_alpha(0.95)
         ignored = 0 if notification.is_error else int(imgui.WindowFlags_.no_mouse_inputs)

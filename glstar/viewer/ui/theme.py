@@ -5,6 +5,7 @@ The window is dark, or red by night to preserve dark adaptation.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import log10
 from pathlib import Path
 
 import imgui_bundle
@@ -81,6 +82,8 @@ ANY_POPUP = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_lev
 _DIALOG_MARGIN_PX = (20.0, 30.0)
 # Width of the buttons that end a dialog, px.
 _BUTTON_PX = 90.0
+# Height of the bar of a slider, and half the width of its end, screen px.
+_BAR_PX = 2.5
 # Smallest and largest text, tenths of its first size.
 _TEXT_TENTHS = (7, 25)
 
@@ -214,6 +217,49 @@ def draw_choice(label: str, shown: str, choices: Mapping[str, str], present: str
                 imgui.set_item_tooltip(tooltip)
         imgui.end_combo()
     return chosen
+
+
+def draw_slider(
+    label: str, value: float, lowest: float, highest: float, form: str, *, logarithmic: bool = False
+) -> tuple[bool, float]:
+    """Draw a slider whose knob is a bar below its number, which stays readable.
+
+    `form`: of the number, such as ``"%.2f s"``; ``"%d"`` for whole numbers.  Returns whether the user has changed the
+    value in this frame, and the value.
+    """
+    flags = int(imgui.SliderFlags_.logarithmic) if logarithmic else 0
+    width_px = imgui.calc_item_width()
+    for knob in (imgui.Col_.slider_grab, imgui.Col_.slider_grab_active):
+        imgui.push_style_color(int(knob), (0.0, 0.0, 0.0, 0.0))
+    changed: bool
+    new: float
+    if form == "%d":
+        changed, new = imgui.slider_int(label, int(value), int(lowest), int(highest), form, flags)
+    else:
+        changed, new = imgui.slider_float(label, value, lowest, highest, form, flags)
+    imgui.pop_style_color(2)
+    corner, bottom = imgui.get_item_rect_min(), imgui.get_item_rect_min().y + imgui.get_frame_height()
+    grab_px = imgui.get_style().grab_min_size
+    x = (
+        corner.x
+        + 2
+        + grab_px / 2
+        + _slider_fraction(new, lowest, highest, form, logarithmic=logarithmic) * (width_px - 4 - grab_px)
+    )
+    colour = imgui.get_color_u32(imgui.Col_.slider_grab_active if imgui.is_item_active() else imgui.Col_.slider_grab)
+    draw_list = imgui.get_window_draw_list()
+    draw_list.add_rect_filled(ImVec2(corner.x + 2, bottom - _BAR_PX), ImVec2(x, bottom), colour, 1.0)
+    draw_list.add_rect_filled(ImVec2(x - _BAR_PX, bottom - 2 * _BAR_PX), ImVec2(x + _BAR_PX, bottom), colour, 1.0)
+    return changed, new
+
+
+def _slider_fraction(value: float, lowest: float, highest: float, form: str, *, logarithmic: bool) -> float:
+    """Return where a value is on its slider, 0 to 1; a logarithmic one begins at the last digit shown if it has 0."""
+    if logarithmic:
+        digits = form.partition(".")[2][:1]
+        least = 0.1 ** int(digits) if digits.isdigit() else 1.0
+        value, lowest, highest = (log10(max(each, lowest or least)) for each in (value, lowest, highest))
+    return min(max((value - lowest) / (highest - lowest), 0.0), 1.0)
 
 
 def draw_button(label: str, tooltip: str) -> bool:

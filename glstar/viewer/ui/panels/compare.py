@@ -13,7 +13,7 @@ from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState, span
 from glstar.viewer.picture.fitting import FitRequest, FitResult, ImageFit, ResidualRequest, TrailResiduals
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import draw_button, draw_checkbox, draw_rows, draw_wrapped, error
+from glstar.viewer.ui.theme import draw_button, draw_checkbox, draw_rows, draw_slider, draw_wrapped, error
 
 _MORE = ImVec4(*MORE_RGB, 1.0)
 _LESS = ImVec4(*LESS_RGB, 1.0)
@@ -92,9 +92,9 @@ class ComparisonPanel:
             if imgui.radio_button(mode, state.mode is mode) and state.mode is not mode:
                 state.toggle(mode)
         if state.mode is ComparisonMode.WIPE:
-            _, state.wipe = imgui.slider_float("line", state.wipe, 0.0, 1.0, "%.3f")
+            _, state.wipe = draw_slider("line", state.wipe, 0.0, 1.0, "%.3f")
         elif state.mode is ComparisonMode.BLINK:
-            _, state.blink_period_s = imgui.slider_float("period", state.blink_period_s, 0.2, 5.0, "%.1f s")
+            _, state.blink_period_s = draw_slider("period", state.blink_period_s, 0.2, 5.0, "%.1f s")
         elif state.mode is ComparisonMode.DIFFERENCE:
             imgui.text_colored(_MORE, "real is brighter")
             imgui.same_line()
@@ -137,7 +137,7 @@ class ComparisonPanel:
         if imgui.button("0"):
             state.offset_s = 0.0
         imgui.set_next_item_width(-1)
-        _, state.offset_s = imgui.slider_float("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
+        _, state.offset_s = draw_slider("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
         imgui.text_disabled(f"[flight] time_offset_s = {round(state.ahead_s, 6):g}")
         references = list(TimeReference)
         _, chosen = imgui.combo("of exposure", references.index(state.time_reference), list(references))
@@ -148,9 +148,8 @@ class ComparisonPanel:
     def _draw_levels(self) -> None:
         state = self._state
         imgui.separator_text("Real image")
-        logarithmic = imgui.SliderFlags_.logarithmic
-        _, state.real_black = imgui.slider_float("black", state.real_black, 0.0, 0.5, "%.4f of white")
-        _, state.real_gain = imgui.slider_float("gain", state.real_gain, 1 / 16, 256.0, "x %.2f", logarithmic)
+        _, state.real_black = draw_slider("black", state.real_black, 0.0, 0.5, "%.4f of white")
+        _, state.real_gain = draw_slider("gain", state.real_gain, 1 / 16, 256.0, "x %.2f", logarithmic=True)
 
 
 def _draw_image(image: RealImage, fitted: FittedImage | None, behind_s: float) -> None:

@@ -11,12 +11,13 @@ from glstar.viewer.picture.view import ColourMap, Histogram, Stretch, StretchKin
 from glstar.viewer.session.actions import fit_stretch, perform
 from glstar.viewer.session.keys import Action
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import accent, draw_button, draw_checkbox, draw_choice, scaled
+from glstar.viewer.ui.theme import accent, draw_button, draw_checkbox, draw_choice, draw_slider, scaled
 
-_LOGARITHMIC = int(imgui.SliderFlags_.logarithmic)
 # Width of the controls, of the panel's.
 _WIDTH = 0.55
 _PLOT_HEIGHT_PX = 130.0
+# Distance of the name of a level from its line, screen px.
+_BESIDE_PX = 5.0
 # Smallest share of the pixels that the histogram shows.
 _LEAST_FRACTION = 1e-6
 _PLOT = int(implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.no_box_select)
@@ -40,7 +41,7 @@ class DisplayPanel:
         imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
         self._draw_histogram(session)
         _draw_stretch(session)
-        changed, limit = imgui.slider_float("Star names to", session.name_vmag_limit, -1.5, 7.0, "V %.1f")
+        changed, limit = draw_slider("Star names to", session.name_vmag_limit, -1.5, 7.0, "V %.1f")
         imgui.set_item_tooltip("Faintest star whose name is written, V magnitude")
         if changed:
             session.name_vmag_limit = limit
@@ -106,10 +107,22 @@ def _drag_limits(session: Session, white_dn: int) -> None:
     black_dn, shown_white_dn = stretch.black * white_dn, stretch.white * white_dn
     black_moved = implot.drag_line_x(_BLACK_HANDLE, black_dn, colour, 1.5)
     white_moved = implot.drag_line_x(_WHITE_HANDLE, shown_white_dn, colour, 1.5)
-    implot.tag_x(stretch.black * white_dn, colour, "black")
-    implot.tag_x(stretch.white * white_dn, colour, "white")
+    # Beside the upper ends of the lines, in two rows: tags at the axis would cover its numbers and each other.
+    for row, (text, level_dn) in enumerate((("black", black_dn), ("white", shown_white_dn))):
+        _write_beside(text, level_dn, row)
     if black_moved[0] or white_moved[0]:
         session.stretch = stretch.between(max(black_moved[1], 0.0) / white_dn, white_moved[1] / white_dn)
+
+
+def _write_beside(text: str, level_dn: float, row: int) -> None:
+    """Write a text beside the line at a level, inside the plot; `row`: from the top, 0 or 1."""
+    corner, size_px, text_px = implot.get_plot_pos(), implot.get_plot_size(), imgui.calc_text_size(text)
+    x = implot.plot_to_pixels(level_dn, 1.0).x + _BESIDE_PX
+    if x + text_px.x > corner.x + size_px.x:
+        x -= text_px.x + 2 * _BESIDE_PX
+    if corner.x <= x <= corner.x + size_px.x - text_px.x:
+        colour = imgui.get_color_u32(imgui.Col_.text)
+        implot.get_plot_draw_list().add_text(ImVec2(x, corner.y + 2 + row * text_px.y), colour, text)
 
 
 def _draw_stretch(session: Session) -> None:
@@ -121,6 +134,12 @@ def _draw_stretch(session: Session) -> None:
     imgui.same_line()
     if draw_button("Reset##stretch", "The stretch that suits the sensor, as at the start"):
         stretch = Stretch.for_sensor(session.config.sensor())
+        session.follow_image()
+    imgui.same_line()
+    tooltip = "Keep black and white as they are; otherwise they follow the image, so that the sky is dark"
+    if draw_checkbox("Hold", stretch.held, tooltip) != stretch.held:
+        stretch = replace(stretch, held=not stretch.held)
+        session.follow_image()
     imgui.same_line()
     is_asinh = stretch.kind is StretchKind.ASINH
     if draw_checkbox("Asinh", is_asinh, "Brightens faint signals without clipping bright ones (I)") != is_asinh:
@@ -129,14 +148,12 @@ def _draw_stretch(session: Session) -> None:
         stretch = replace(stretch, colours=ColourMap(name))
     imgui.set_item_tooltip("Colour map of the brightness (Shift+C for the next); night vision stays red")
     highest = max(1024.0, 4.0 * white_dn)
-    changed, boost = imgui.slider_float("Boost", stretch.boost, 0.125, highest, "x%.2f", _LOGARITHMIC)
+    changed, boost = draw_slider("Boost", stretch.boost, 0.125, highest, "x%.2f", logarithmic=True)
     imgui.set_item_tooltip("Gain of the display, as of a longer exposure (Up, Down)")
     if changed:
-        stretch = replace(stretch, boost=boost)
-    changed, black_dn = imgui.slider_float(
-        "Black", stretch.black * white_dn, 0.0, white_dn / 4, "%.1f DN", _LOGARITHMIC
-    )
+        stretch = replace(stretch, boost=boost, held=True)
+    changed, black_dn = draw_slider("Black", stretch.black * white_dn, 0.0, white_dn / 4, "%.1f DN", logarithmic=True)
     imgui.set_item_tooltip("Level shown black, DN")
     if changed:
-        stretch = replace(stretch, black=black_dn / white_dn)
+        stretch = replace(stretch, black=black_dn / white_dn, held=True)
     session.stretch = stretch

@@ -320,6 +320,7 @@ _HALF_PITCH_DEG = 30.0
 _LADDER_DEG = (-60, -50, -40, -30, -20, -10, 10, 20, 30, 40, 50, 60)
 # Sky, ground, lines and aircraft by day and by night.
 _SKY: tuple[Colour, Colour] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 1.0))
+_HEADING_BOX: tuple[Colour, Colour] = ((0.05, 0.06, 0.08, 0.85), (0.03, 0.0, 0.0, 0.85))
 _GROUND_BELOW: tuple[Colour, Colour] = ((0.36, 0.26, 0.16, 1.0), (0.08, 0.0, 0.0, 1.0))
 
 
@@ -342,7 +343,8 @@ class FlightPanel:
             imgui.text_disabled("no attitude at this time: a gap of the log")
             return
         state = flightmap.aircraft_state(loaded.simulator, utc_s)
-        beliefs = session.navigator.beliefs(loaded, session.image.simulator, scene)
+        # Errors are those of the aircraft's camera.
+        beliefs = () if session.is_looking else session.navigator.beliefs(loaded, session.image.simulator, scene)
         _draw_horizon(state, beliefs, night=session.night)
         _draw_numbers(state, beliefs)
         self._map.draw(loaded, state, beliefs, night=session.night)
@@ -373,13 +375,23 @@ def _draw_horizon(state: flightmap.AircraftState, beliefs: Sequence[Belief], *, 
         imgui.get_color_u32(_GROUND_BELOW[night]),
     )
     lines = imgui.get_color_u32(LINES[night])
+    heading = f"{degrees(state.yaw_rad) % 360:05.1f}°"
+    heading_px = imgui.calc_text_size(heading)
     draw_list.add_line(ImVec2(*left), ImVec2(*right), lines, 1.5)
     for ladder_deg in _LADDER_DEG:
         rung = on_horizon - down * ladder_deg * px_per_deg
         half = along * (0.08 if ladder_deg % 20 else 0.14) * width
         draw_list.add_line(ImVec2(*(rung - half)), ImVec2(*(rung + half)), lines, 1.0)
-        if ladder_deg % 20 == 0:
-            draw_list.add_text(ImVec2(*(rung + half)), lines, f"{ladder_deg}")
+        label = f"{ladder_deg}"
+        at = rung + half
+        # The heading has the middle of the top.
+        under_heading = (
+            at[1] < origin.y + heading_px.y + 4
+            and at[0] < centre[0] + heading_px.x
+            and at[0] + imgui.calc_text_size(label).x > centre[0] - heading_px.x
+        )
+        if ladder_deg % 20 == 0 and not under_heading:
+            draw_list.add_text(ImVec2(*at), lines, label)
     for belief in beliefs:
         if belief.roll_rad is not None and belief.pitch_rad is not None:
             along, down = _horizon_axes(belief.roll_rad)
@@ -387,8 +399,12 @@ def _draw_horizon(state: flightmap.AircraftState, beliefs: Sequence[Belief], *, 
             ends = ImVec2(*(at - along * extent)), ImVec2(*(at + along * extent))
             draw_list.add_line(*ends, imgui.get_color_u32(BELIEF[night]), 2.0)
     _draw_aircraft(draw_list, centre, width, imgui.get_color_u32(AIRCRAFT[night]))
-    heading = f"{degrees(state.yaw_rad) % 360:05.1f}°"
-    draw_list.add_text(ImVec2(centre[0] - imgui.calc_text_size(heading).x / 2, origin.y + 2), lines, heading)
+    box = (
+        ImVec2(centre[0] - heading_px.x / 2 - 4, origin.y),
+        ImVec2(centre[0] + heading_px.x / 2 + 4, origin.y + 4 + heading_px.y),
+    )
+    draw_list.add_rect_filled(*box, imgui.get_color_u32(_HEADING_BOX[night]), 3.0)
+    draw_list.add_text(ImVec2(centre[0] - heading_px.x / 2, origin.y + 2), lines, heading)
     draw_list.pop_clip_rect()
 
 

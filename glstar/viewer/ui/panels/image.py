@@ -1,6 +1,7 @@
 """The image panel: the picture with its overlays, zoom and pan by mouse, and the readout under the mouse."""
 
-from math import degrees
+from math import ceil, degrees, floor
+from typing import NamedTuple
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -14,11 +15,18 @@ from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.content import Display, PanelContent, PanelPicture, Picture, WindowPlace
 from glstar.viewer.picture.fitting import TrailResiduals
+from glstar.viewer.picture.view import ImageView
 from glstar.viewer.session.actions import select_object
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection, star_at
 from glstar.viewer.ui.panels.compare import residuals_of
-from glstar.viewer.ui.panels.imagelayers import Edges, draw_comparison_labels, draw_pixel_grid, draw_shapes
+from glstar.viewer.ui.panels.imagelayers import (
+    Edges,
+    draw_comparison_labels,
+    draw_edged_text,
+    draw_pixel_grid,
+    draw_shapes,
+)
 from glstar.viewer.ui.theme import accent, error
 
 # Zoom factor of a notch of the mouse wheel.
@@ -33,6 +41,10 @@ _SELECTED_PX = 14.0
 _MARGIN = 10.0
 # Red, green, blue and opacity of the veil over a live sky that is out of date.
 _VEIL = (0.45, 0.46, 0.48, 0.55)
+# Red, green, blue and opacity behind the name of the selected object.
+_PLATE = (0.0, 0.0, 0.0, 0.5)
+# Points of an outline farther away than this are left out, screen px.
+_FAR_PX = 1e5
 # Opacity of the background of a message over the image.
 _BANNER_OPACITY = 0.85
 
@@ -48,11 +60,18 @@ class ImagePanel:
         # The visible part of the picture: left, top, width, height in px of the window's framebuffer, and the position
         # of the panel's corner there; None if there is no picture.
         self._visible: tuple[tuple[int, int, int, int], tuple[int, int]] | None = None
+        # Left, top, right and bottom of the panel, px of the framebuffer.
+        self._panel_px = (0, 0, 0, 0)
 
     @property
     def visible_px(self) -> tuple[int, int, int, int] | None:
         """Left, top, width and height of the visible part of the picture, px of the window's framebuffer."""
         return None if self._visible is None else self._visible[0]
+
+    @property
+    def new_picture_px(self) -> tuple[int, int, int, int] | None:
+        """Left, top, right and bottom of the panel, px of the framebuffer, if its picture is new; None otherwise."""
+        return self._panel_px if self._picture.is_new else None
 
     def plain_picture(self) -> NDArray[np.uint8] | None:
         """Return the visible part of the picture without overlays.
@@ -84,6 +103,7 @@ class ImagePanel:
             return
         view = session.view
         scale = imgui.get_io().display_framebuffer_scale.x
+        session.look.resize(width * scale, height * scale)
         view.resize(*shown.size_px, width, height)
         # Mouse input first, so that this frame shows its effect.
         imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
@@ -91,16 +111,28 @@ class ImagePanel:
         self._take_mouse(session, corner, hovered=hovered)
         texture = self._show(session, shown, corner, (round(width * scale), round(height * scale)), is_lowest=is_lowest)
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
+        left, top, right, bottom = (edge * scale for edge in clip)
+        self._panel_px = floor(left), floor(top), ceil(right), ceil(bottom)
         edges = view.edges(*shown.size_px)
         if texture is not None:
             _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
-        self._draw_overlays(session, draw_list, corner, clip)
+        mark = _SelectedMark.of(session, self._selection, corner, clip)
+        reserved = [] if mark is None else [mark.region(view, corner)]
+        if session.is_looking:
+            label_px = imgui.calc_text_size(_look_text(session))
+            box = [[0.0, height - label_px.y - 2 * _MARGIN], [label_px.x + 2 * _MARGIN, height]]
+            first, last = view.to_picture(box).tolist()
+            reserved.append(ImageRegion(*first, *last))
+        self._draw_overlays(session, draw_list, corner, clip, tuple(reserved))
         if labelled:
             draw_comparison_labels(session, draw_list, corner, clip)
-        _draw_selected(session, self._selection, draw_list, corner, clip)
+        if mark is not None:
+            mark.draw(draw_list)
         if session.view.pixel_grid:
             draw_pixel_grid(session, draw_list, corner, clip)
+        if session.is_looking:
+            _draw_look(session, draw_list, corner, clip)
         if session.stale_s is not None:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
@@ -112,6 +144,9 @@ class ImagePanel:
             _banner(draw_list, message, clip)
 
     def _take_mouse(self, session: Session, corner: Float, *, hovered: bool) -> None:
+        if session.is_looking:
+            self._look_around(session, corner, hovered=hovered)
+            return
         io, view = imgui.get_io(), session.view
         if hovered and io.mouse_wheel:
             view.zoom_at(_mouse() - corner, _WHEEL**io.mouse_wheel)
@@ -127,6 +162,20 @@ class ImagePanel:
         elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
             _select_star(session, self._selection, view.to_picture(_mouse() - corner))
 
+    def _look_around(self, session: Session, corner: Float, *, hovered: bool) -> None:
+        """Turn the free camera, change its field of view, or select a star."""
+        io, view, look = imgui.get_io(), session.view, session.look
+        view.fit()
+        at = view.to_picture(_mouse() - corner)
+        if hovered and io.mouse_wheel:
+            look.zoom(_WHEEL**io.mouse_wheel)
+        if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
+            look.turn(io.mouse_delta.x / view.zoom, io.mouse_delta.y / view.zoom)
+        if hovered and imgui.is_mouse_double_clicked(0) and session.scene is not None:
+            look.look_at(at, session.scene)
+        elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
+            _select_star(session, self._selection, at)
+
     def _show(
         self, session: Session, shown: PanelContent, corner: Float, size_px: tuple[int, int], *, is_lowest: bool
     ) -> int | None:
@@ -139,7 +188,15 @@ class ImagePanel:
         picture = Picture.of(shown, view, session.stretch, size_px, scale=scale, night=night)
         return self._picture.show(picture, inputs, _place(corner, scale) if is_lowest else None)
 
-    def _draw_overlays(self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
+    def _draw_overlays(
+        self,
+        session: Session,
+        draw_list: imgui.ImDrawList,
+        corner: Float,
+        clip: Edges,
+        reserved: tuple[ImageRegion, ...],
+    ) -> None:
+        """Draw the overlays, with no label in a reserved part of the image."""
         scene, view = session.scene, session.view
         if scene is None or session.loaded is None or not session.shown_overlays:
             return
@@ -158,8 +215,11 @@ class ImagePanel:
             pixels=session.image.tested if Overlay.SATURATED in session.shown_overlays else None,
             region=region,
             zoom=view.zoom,
-            beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
+            beliefs=()
+            if session.is_looking
+            else session.navigator.beliefs(session.loaded, session.image.simulator, scene),
             residuals=residuals if isinstance(residuals, TrailResiduals) else None,
+            reserved=reserved,
         )
 
         def to_screen(xy_px: ArrayLike) -> Float:
@@ -234,6 +294,28 @@ def _banner(draw_list: imgui.ImDrawList, text: str, clip: Edges) -> None:
     imgui.pop_clip_rect()
 
 
+def _look_text(session: Session) -> str:
+    return f"{session.look.label}   Tab: the aircraft's camera"
+
+
+def _draw_look(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
+    """Write where the free camera looks, and draw the border of the aircraft's own image."""
+    scene, loaded = session.scene, session.loaded
+    if scene is None or loaded is None:
+        return
+    colour = imgui.get_color_u32(accent())
+    outline = session.view.to_screen(session.look.outline_px(loaded.simulator, scene)) + corner
+    far = np.abs(outline).max(axis=1, initial=0.0) > _FAR_PX
+    draw_list.push_clip_rect(ImVec2(*clip[:2]), ImVec2(*clip[2:]), True)
+    for (x, y), (to_x, to_y), hidden, to_hidden in zip(outline, outline[1:], far, far[1:], strict=False):
+        if not (hidden or to_hidden) and np.isfinite([x, y, to_x, to_y]).all():
+            draw_list.add_line(ImVec2(x, y), ImVec2(to_x, to_y), colour, 1.5)
+    draw_list.pop_clip_rect()
+    text = _look_text(session)
+    size = imgui.calc_text_size(text)
+    draw_edged_text(draw_list, clip[0] + _MARGIN, clip[3] - size.y - _MARGIN, colour, text)
+
+
 def _select_star(session: Session, selection: Selection, position: Float) -> None:
     """Select the star at a position on the image; none if there is none."""
     if session.scene is None or session.loaded is None:
@@ -243,42 +325,57 @@ def _select_star(session: Session, selection: Selection, position: Float) -> Non
     select_object(session, selection, None if star is None else search.star(star.star_id))
 
 
-def _draw_selected(
-    session: Session, selection: Selection, draw_list: imgui.ImDrawList, corner: Float, clip: Edges
-) -> None:
-    """Draw a ring around the selected object, or an arrow at the edge of the panel towards it."""
-    selected, scene, simulator = selection.selected, session.scene, session.image.simulator
-    if selected is None or scene is None or simulator is None:
-        return
-    place = selection.place(simulator, scene)
-    if place is None:
-        return
-    colour = imgui.get_color_u32(accent())
-    towards = np.array([place.right, place.down])
-    if place.on_image:
-        at = session.view.to_screen([place.x_px, place.y_px]) + corner
-        inside = clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]
-        if inside:
-            draw_list.add_circle(ImVec2(*at), _SELECTED_PX, colour, 0, 1.5)
-            draw_list.add_text(ImVec2(at[0] + _SELECTED_PX, at[1] + _SELECTED_PX), colour, selected.name)
-            return
-        towards = at - (np.array(clip[:2]) + clip[2:]) / 2
-        towards = towards / np.linalg.norm(towards)
-    _draw_arrow(draw_list, towards, clip, colour, selected.name)
+class _SelectedMark(NamedTuple):
+    """How the selected object is marked, screen px: a ring where it is, or the tip of an arrow towards it."""
 
+    at: Float  # (2,) centre of the ring, or tip of the arrow
+    towards: Float | None  # (2,) unit vector of the arrow; None for a ring
+    name: str
+    corner: Float  # (2,) top left of its name
+    size: Float  # (2,) of its name
 
-def _draw_arrow(draw_list: imgui.ImDrawList, towards: Float, clip: Edges, colour: int, label: str) -> None:
-    """Draw an arrow at the edge of a rectangle in a direction from its middle, with a label inside."""
-    middle = (np.array(clip[:2]) + clip[2:]) / 2
-    half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
-    tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
-    across = np.array([-towards[1], towards[0]])
-    base = tip - _SELECTED_PX * towards
-    left, right = base + across * _SELECTED_PX / 2, base - across * _SELECTED_PX / 2
-    draw_list.add_triangle_filled(ImVec2(*tip), ImVec2(*left), ImVec2(*right), colour)
-    size = imgui.calc_text_size(label)
-    beside = base - _MARGIN * towards - np.array([size.x, size.y]) * (0.5 + 0.5 * towards)
-    draw_list.add_text(ImVec2(*np.clip(beside, clip[:2], [clip[2] - size.x, clip[3] - size.y])), colour, label)
+    @classmethod
+    def of(cls, session: Session, selection: Selection, corner: Float, clip: Edges) -> "_SelectedMark | None":
+        """Return the mark in a panel, or None without a selected object; `corner` (2,), `clip`: of the panel."""
+        selected, scene, simulator = selection.selected, session.scene, session.image.simulator
+        if selected is None or scene is None or simulator is None:
+            return None
+        place = selection.place(simulator, scene)
+        if place is None:
+            return None
+        size = imgui.calc_text_size(selected.name)
+        size_px = np.array([size.x, size.y])
+        towards = np.array([place.right, place.down])
+        middle = (np.array(clip[:2]) + clip[2:]) / 2
+        if place.on_image:
+            at = session.view.to_screen([place.x_px, place.y_px]) + corner
+            if clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]:
+                beside = np.clip(at + _SELECTED_PX, clip[:2], np.array(clip[2:]) - size_px)
+                return cls(at, None, selected.name, beside, size_px)
+            towards = (at - middle) / np.linalg.norm(at - middle)
+        half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
+        tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
+        beside = tip - (_SELECTED_PX + _MARGIN) * towards - size_px * (0.5 + 0.5 * towards)
+        return cls(tip, towards, selected.name, np.clip(beside, clip[:2], np.array(clip[2:]) - size_px), size_px)
+
+    def region(self, view: ImageView, corner: Float) -> ImageRegion:
+        """Return the part of the image that its name covers; `corner` (2,): of the panel."""
+        first, last = view.to_picture([self.corner - corner, self.corner + self.size - corner]).tolist()
+        return ImageRegion(*first, *last)
+
+    def draw(self, draw_list: imgui.ImDrawList) -> None:
+        """Draw the ring or the arrow, and the name."""
+        colour = imgui.get_color_u32(accent())
+        if self.towards is None:
+            draw_list.add_circle(ImVec2(*self.at), _SELECTED_PX, colour, 0, 1.5)
+        else:
+            across = np.array([-self.towards[1], self.towards[0]]) * _SELECTED_PX / 2
+            base = self.at - _SELECTED_PX * self.towards
+            draw_list.add_triangle_filled(ImVec2(*self.at), ImVec2(*(base + across)), ImVec2(*(base - across)), colour)
+        # On a plate, because beside the Moon the sky is white.
+        first, last = self.corner - 2, self.corner + self.size + 2
+        draw_list.add_rect_filled(ImVec2(*first), ImVec2(*last), imgui.get_color_u32(_PLATE), 3.0)
+        draw_edged_text(draw_list, float(self.corner[0]), float(self.corner[1]), colour, self.name)
 
 
 def _draw_readout(session: Session, position: Float) -> None:

@@ -31,9 +31,9 @@ _TARGET = 10.0
 _RING = 7.0
 _MIN_PIXEL = 1.5
 
-# A soft dark edge around letters: four translucent copies of the text, offset by one pixel each.
+# A dark edge around letters: four translucent copies of the text, offset by one pixel each.
 _EDGE = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
-_EDGE_OPACITY = 110
+_EDGE_OPACITY = 190
 
 # Superscripts of Bayer letters that few fonts have, such as that of upsilon 4 Eridani.
 _RARE = "\u2074\u2075\u2076\u2077\u2078\u2079"
@@ -107,7 +107,7 @@ def _draw_marks(draw_list: Any, marks: Marks, to_screen: Callable[[Float], Float
 def _draw_labels(
     draw_list: Any, labels: Labels, to_screen: Callable[[Float], Float], clip: Edges, colour: Rgba
 ) -> None:
-    ink, edge = _packed(colour, 255), _packed((0, 0, 0, _EDGE_OPACITY))
+    ink = _packed(colour, 255)
     left, top, right, bottom = clip
     positions = to_screen(labels.xy_px.astype(np.float64)).tolist()
     origin, clear = to_screen(np.array([[0.0, 0.0], [labels.clear_px, 0.0]]))
@@ -120,9 +120,15 @@ def _draw_labels(
         y0 = y - down * height + (1 - 2 * down) * gap
         if x0 > right or y0 > bottom or x0 + width < left or y0 + height < top:
             continue
-        for right_px, down_px in _EDGE:
-            draw_list.add_text((x0 + right_px, y0 + down_px), edge, text)
-        draw_list.add_text((x0, y0), ink, text)
+        draw_edged_text(draw_list, x0, y0, ink, text)
+
+
+def draw_edged_text(draw_list: Any, x: float, y: float, ink: int, text: str) -> None:
+    """Write text with a dark edge, which can be read on a bright sky; `x`, `y`: its top left; `ink`: its colour."""
+    edge = _packed((0, 0, 0, _EDGE_OPACITY))
+    for right_px, down_px in _EDGE:
+        draw_list.add_text((x + right_px, y + down_px), edge, text)
+    draw_list.add_text((x, y), ink, text)
 
 
 _MARGIN = 8.0

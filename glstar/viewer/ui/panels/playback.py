@@ -59,7 +59,9 @@ class PlaybackControls:
 
     def _draw_time(self, head: PlayHead) -> None:
         imgui.set_next_item_width(scaled(110))
-        entered, text = imgui.input_text("s", f"{head.second:.3f}", _ENTER)
+        # Nobody reads digits that change in every frame, and then the panel would have to be painted in every frame.
+        digits = 1 if head.playing else 3
+        entered, text = imgui.input_text("s", f"{head.second:.{digits}f}", _ENTER)
         imgui.set_item_tooltip("type 12.5, 1:02.5, +5, -0.1, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
         if entered:
             try:
@@ -70,7 +72,8 @@ class PlaybackControls:
         imgui.same_line()
         number = head.number
         which = "" if number is None else f"   exposure {number} (0 to {head.count - 1})"
-        imgui.text(f"of {head.length_s:.1f}   {format_utc(head.utc_s)}{which}")
+        utc = f"{format_utc(head.utc_s)[:21]}Z" if head.playing else format_utc(head.utc_s)
+        imgui.text(f"of {head.length_s:.1f}   {utc}{which}")
         if self.error is not None:
             imgui.text_wrapped(self.error)
 

@@ -6,25 +6,22 @@ from math import degrees
 from pathlib import Path
 from typing import Any, get_args
 
-from imgui_bundle import ImVec4, imgui
+from imgui_bundle import imgui
 
 from glstar.camera.exposure import Readout, Stack, Trail
 from glstar.camera.presets import camera_presets, sensor_presets
-from glstar.camera.sensor.sensor import NoiseModel
+from glstar.camera.sensor.sensor import NoiseModel, Sensor
 from glstar.config import Config
 from glstar.config.sky import HORIZONS
 from glstar.flight.gimbal import GimbalMode
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.flight.loaded import AttitudeChoices
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import draw_choice
+from glstar.viewer.ui.theme import draw_choice, draw_slider
 
-_LOGARITHMIC = int(imgui.SliderFlags_.logarithmic)
 # Width of a control over that of the panel; its label takes the rest.
 _WIDTH = 0.52
 
-# Opacity of the grab of a slider, so that the value under it can be read.
-_GRAB_OPACITY = 0.45
 # Groups of the sensor's effects that are closed at first, by stage.
 _GROUPS = {
     Stage.STARS: "Star images",
@@ -71,8 +68,6 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     config = session.config
     changes: dict[str, Any] = {}
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
-    imgui.push_style_color(int(imgui.Col_.slider_grab), _translucent(imgui.Col_.slider_grab))
-    imgui.push_style_color(int(imgui.Col_.slider_grab_active), _translucent(imgui.Col_.slider_grab_active))
     if _heading("Exposure"):
         _sliders(_EXPOSURE, config, changes)
         if config.exposure.readout_s:
@@ -86,14 +81,13 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
         _camera(config, changes)
     if _heading("Sensor"):
         _sensor(config, effects, changes)
-    for title, group in _groups(effects, config.sensor().noise).items():
+    for title, group in _groups(effects, _sensor_of(config).noise).items():
         if _heading(title, is_open=False):
             _effects(group, config, changes)
     if _heading("Sky"):
         _sky(config, effects, changes)
     if _heading("Mount"):
         _mount(config, changes)
-    imgui.pop_style_color(2)
     imgui.pop_item_width()
     if changes:
         session.change(**changes)
@@ -104,12 +98,6 @@ def _heading(title: str, *, is_open: bool = True) -> bool:
     flags = imgui.TreeNodeFlags_.default_open if is_open else imgui.TreeNodeFlags_.none
     # Another identity than a control of the same name has, as of "Exposure" and "Sky".
     return bool(imgui.collapsing_header(f"{title}##heading", int(flags)))
-
-
-def _translucent(colour: int) -> ImVec4:
-    """Return a colour through which the value of a slider can be read."""
-    opaque = imgui.get_style_color_vec4(colour)
-    return ImVec4(opaque.x, opaque.y, opaque.z, _GRAB_OPACITY)
 
 
 def _groups(effects: Sequence[Effect], noise: NoiseModel) -> dict[str, list[Effect]]:
@@ -181,12 +169,11 @@ def _slider(
     default: object = None,
     allowed: str = "",
 ) -> None:
-    new: float
-    if integer:
-        changed, new = imgui.slider_int(control.label, int(value), int(control.lowest), int(control.highest))
-    else:
-        flags = _LOGARITHMIC if control.logarithmic else 0
-        changed, new = imgui.slider_float(control.label, value, control.lowest, control.highest, control.form, flags)
+    form = "%d" if integer else control.form
+    changed, new = draw_slider(
+        control.label, value, control.lowest, control.highest, form, logarithmic=control.logarithmic
+    )
+    if not integer:
         # Sliders work in float32: the six digits that the user sees are meant.
         new = float(f"{new:.6g}")
     _about(key, value, changes, default=default, allowed=f"{allowed}\nCtrl+click to type a number".strip())
@@ -203,7 +190,7 @@ def _choice(key: str, label: str, value: str, choices: Sequence[str], changes: d
 
 def _effects(effects: Sequence[Effect], config: Config, changes: dict[str, Any]) -> None:
     for effect in effects:
-        values = effect.values(config.sensor())
+        values = effect.values(_sensor_of(config))
         for key in effect.keys:
             if key.control is not None:
                 _effect_key(f"{effect.section}.{key.name}", key, key.control, values[key.name], changes)
@@ -220,9 +207,15 @@ def _effect_key(dotted: str, key: Key, control: Control, value: Any, changes: di
 
 
 @lru_cache(maxsize=2)
+def _sensor_of(config: Config) -> Sensor:
+    """Return the sensor of settings: every group of controls needs it in every frame."""
+    return config.sensor()
+
+
+@lru_cache(maxsize=2)
 def _values(config: Config) -> dict[str, float]:
     """Return the value of each slider by dotted key."""
-    mount, sensor = config.mount(), config.sensor()
+    mount, sensor = config.mount(), _sensor_of(config)
     values: dict[str, float] = {}
     for dotted in (*_EXPOSURE, *_SENSOR, *_SKY, *_MOUNT):
         section, _, key = dotted.partition(".")
@@ -247,13 +240,14 @@ def _camera(config: Config, changes: dict[str, Any]) -> None:
     shown = current if current in presets else "as in the settings"
     if name := draw_choice("Preset", shown, presets, current):
         changes["camera.preset"] = name
+    imgui.set_item_tooltip(shown)  # the control may be too narrow for it
     camera = config.camera()
     imgui.text_disabled(f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.1f} px")
 
 
 def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
     """Draw the noise model, the presets of sensors, and the keys of the noise model."""
-    noise = config.sensor().noise
+    noise = _sensor_of(config).noise
     _choice("sensor.noise", "Noise model", noise, get_args(NoiseModel), changes)
     current = config.resolved()["sensor"].get("preset")
     modes = {mode.name: mode for preset in sensor_presets().values() for mode in preset.modes}
@@ -264,7 +258,7 @@ def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) 
     _sliders(_SENSOR if noise == "paper" else _ELECTRONS, config, changes)
     shown = [effect for effect in effects if effect.section == "sensor" and effect.noise_model in (None, noise)]
     _effects([effect for effect in shown if effect.stage not in _GROUPS], config, changes)
-    is_integrated = config.sensor().pixel == "integrated"
+    is_integrated = _sensor_of(config).pixel == "integrated"
     _switch("sensor.pixel", "Integrate stars over the pixel's area", is_integrated, "integrated", "sampled", changes)
 
 

@@ -1,7 +1,7 @@
 """The timeline of a flight: curves, boxes behind them, and marks of events, drawn with imgui and implot."""
 
 from dataclasses import dataclass
-from math import inf
+from math import ceil, floor, inf, log10
 
 import numpy as np
 from imgui_bundle import imgui, implot
@@ -128,6 +128,8 @@ _SMALL_PX = (100.0, 40.0)
 _PADDING_PX = (6.0, 4.0)
 # Margin above and below the lines, as a fraction of their height.
 _MARGIN = (0.0, 0.05)
+# Smallest height of the axis of values, in their unit: rounding errors of a constant would fill it.
+_LEAST_EXTENT = 0.01
 # How far a line may pass by a sample, px.
 _STRAIGHT_PX = 0.1
 # Zoom factor of a notch of the mouse wheel.
@@ -209,6 +211,8 @@ class Timeline:
         self._width_px = 800.0
         # What a pixel of its height was then, in the unit of the curve.
         self._per_px: dict[TimelineCurve, float] = {}
+        # The least and the largest value on the axis of each plot then, and its height, px.
+        self._values: dict[str, tuple[float, float, float]] = {}
         self._followed_s = first_s
 
     def show(self, lines: FlightLines) -> None:
@@ -311,10 +315,24 @@ class Timeline:
         implot.setup_axis(_Y2_AXIS, None, _Y2)
         implot.setup_axis_limits(_X1_AXIS, self.axis.start_s, self.axis.stop_s, _ALWAYS)
         implot.setup_axis_limits(_Y2_AXIS, 0.0, 1.0, _ALWAYS)
+        if not is_low and (values := self._value_ticks(title)):
+            implot.setup_axis_ticks(_Y1_AXIS, values, [f"{value:g}" for value in values])
+        implot.setup_axis_zoom_constraints(_Y1_AXIS, _LEAST_EXTENT, inf)
         implot.setup_axis_ticks(_X1_AXIS, *ticks)
         implot.setup_finish()
         self._width_px = implot.get_plot_size().x
         return True
+
+    def _value_ticks(self, title: str) -> list[float]:
+        """Return round values of the axis of a plot, with room for their texts; none before it has been drawn."""
+        if title not in self._values:
+            return []
+        lowest, highest, height_px = self._values[title]
+        least = (highest - lowest) * 0.9 * imgui.get_text_line_height() / max(height_px, 1.0)
+        step = 10.0 ** floor(log10(least))
+        step *= next(factor for factor in (1, 2, 5, 10) if factor * step >= least)
+        first, last = ceil(lowest / step), floor(highest / step)
+        return [round(number * step, 12) for number in range(first, last + 1)]
 
     def _verticals(self, head: PlayHead, palette: Palette) -> _Verticals:
         shown = head.exposure()
@@ -329,7 +347,12 @@ class Timeline:
             bands.append(("##exposures", self._camera_exposures(head), palette.exposures))
         style = palette.shown if gap is None else palette.missing
         bands.append(("##shown", Bands.of(opens_s, opens_s + shown.span_s), style))
-        return _Verticals(palette, bands, np.array(head.markers) - head.origin_s, np.array([head.second]))
+        head_s = head.second
+        if head.playing:
+            # From pixel to pixel: between two of them the plots stay, and are not painted again.
+            pixel_s = self.axis.span_s / max(self._width_px, 1.0)
+            head_s = round(head_s / pixel_s) * pixel_s
+        return _Verticals(palette, bands, np.array(head.markers) - head.origin_s, np.array([head_s]))
 
     def _light_until(self, last_s: float) -> dict[str, Bands]:
         """Return day and twilight up to a time; computed again when a live flight has outgrown them."""
@@ -356,7 +379,9 @@ class Timeline:
         for name, (second, value), style in zip(curve.spec.names, points, verticals.palette.lines, strict=False):
             if second.size and name not in self._hidden:
                 implot.plot_line(name, second, value, style)
-        self._per_px[curve] = implot.get_plot_limits(_X1_AXIS, _Y1_AXIS).size().y / implot.get_plot_size().y
+        values, height_px = implot.get_plot_limits(_X1_AXIS, _Y1_AXIS).y, implot.get_plot_size().y
+        self._per_px[curve] = (values.max - values.min) / height_px
+        self._values[f"##{curve}"] = values.min, values.max, height_px
         verticals.draw_in_front()
         self._take_mouse(head)
         implot.end_plot()
@@ -366,12 +391,15 @@ class Timeline:
         """Write the names of the lines beside their plot; a click hides a line."""
         imgui.same_line(0.0, 0.0)
         imgui.begin_group()
+        # Three names fit beside the lowest plot.
+        imgui.push_style_var(int(imgui.StyleVar_.item_spacing), (0.0, 0.0))
         for name, style in zip(curve.spec.names, palette.lines, strict=False):
             colour, opacity = style.line_color, _HIDDEN_OPACITY if name in self._hidden else 1.0
             imgui.text_colored((colour.x, colour.y, colour.z, opacity), name)
             imgui.set_item_tooltip("a click hides or shows this line")
             if imgui.is_item_clicked():
                 self._hidden ^= {name}
+        imgui.pop_style_var()
         imgui.end_group()
 
     def _camera_exposures(self, head: PlayHead) -> Bands:

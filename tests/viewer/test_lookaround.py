@@ -1,0 +1,164 @@
+"""Looking around with a free camera, and the sky of a place and a time."""
+
+import json
+from math import degrees, radians
+
+import numpy as np
+import pytest
+
+from glstar.render.scene.scene import Frame
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.session.actions import is_on, perform
+from glstar.viewer.session.keys import Action
+from glstar.viewer.session.memory import Place, WindowMemory
+from glstar.viewer.session.saving import save_frame
+from glstar.viewer.skyobjects import object_place
+from tests.support.windowinput import press
+
+
+def looking(viewer, **view: float):
+    """Return the look of a viewer whose free camera is on."""
+    perform(Action.LOOK, viewer.session)
+    for name, value in view.items():
+        setattr(viewer.session.look, name, value)
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+    return viewer.session.look
+
+
+def test_tab_frees_the_camera_and_returns_to_the_aircraft_s(viewer):
+    session = viewer.session
+    own = session.scene.camera
+    axis = object_place(session.scene, session.scene.shutter[1:2].boresight_eq[0])
+    press(viewer, "Tab")
+    viewer.frame(0.0)
+    assert is_on(Action.LOOK, session)
+    assert session.look.altitude_rad == pytest.approx(axis.altitude_rad, abs=radians(0.05))
+    assert session.scene.camera.horizontal_field_rad == pytest.approx(radians(100.0))
+    press(viewer, "Tab")
+    assert session.scene.camera == own
+
+
+def test_the_projection_of_the_free_camera_is_stereographic(viewer):
+    """Altitude and azimuth of the drawn stars give their positions: r = 2 f tan(theta / 2)."""
+    look = looking(viewer, azimuth_rad=radians(350.0), altitude_rad=radians(40.0), field_rad=radians(150.0))
+    scene, (width, height) = viewer.session.scene, look.size_px
+    assert scene.camera.width_px == width
+    truth = json.loads(
+        frame_truth(scene, Frame(viewer.session.image.pixels, scene.exposure, seed=0), number=0, file="")
+    )
+    stars = [star for star in truth["stars"] if star["vmag"] < 2.5 and star["x_px"] is not None]
+    assert len(stars) > 10
+    for star in stars:
+        index = np.flatnonzero(scene.stars.star_id == star["star_id"])[0]
+        place = object_place(scene, scene.stars.direction_eq[index])
+        across = place.azimuth_rad - look.azimuth_rad
+        sine, cosine = np.sin(place.altitude_rad), np.cos(place.altitude_rad)
+        right = cosine * np.sin(across)
+        up = sine * np.cos(look.altitude_rad) - cosine * np.cos(across) * np.sin(look.altitude_rad)
+        ahead = sine * np.sin(look.altitude_rad) + cosine * np.cos(across) * np.cos(look.altitude_rad)
+        scale = (width / 2) / np.tan(look.field_rad / 4) / (1 + ahead)
+        expected = (width - 1) / 2 + scale * right, (height - 1) / 2 - scale * up
+        np.testing.assert_allclose([star["x_px"], star["y_px"]], expected, rtol=0, atol=0.02)
+
+
+def test_the_field_of_view_stays_between_2_and_180_deg(viewer):
+    look = looking(viewer)
+    look.zoom(1e-3)
+    assert degrees(look.field_rad) == pytest.approx(180.0)
+    viewer.frame(0.0)
+    assert viewer.session.image.error == ""
+    look.zoom(1e4)
+    assert degrees(look.field_rad) == pytest.approx(2.0)
+    viewer.frame(0.0)
+    assert viewer.session.image.error == ""
+
+
+def test_a_dragged_star_follows_the_mouse(viewer):
+    look = looking(viewer, azimuth_rad=0.0, altitude_rad=0.3, field_rad=radians(60.0))
+    middle_eq = viewer.session.scene.shutter[1:2].boresight_eq[0]
+    before = object_place(viewer.session.scene, middle_eq)
+    look.turn(5.0, -3.0)
+    viewer.frame(0.0)
+    place = object_place(viewer.session.scene, middle_eq)
+    np.testing.assert_allclose([place.x_px - before.x_px, place.y_px - before.y_px], [5.0, -3.0], rtol=0, atol=0.1)
+
+
+def test_a_double_click_centres_what_is_there(viewer):
+    look = looking(viewer, azimuth_rad=0.0, altitude_rad=radians(45.0), field_rad=radians(90.0))
+    scene = viewer.session.scene
+    positions = scene.camera.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq[scene.visible]))[0]
+    index = scene.visible[np.flatnonzero(scene.camera.contains(positions - [60, 40]))[0]]
+    star_eq = scene.stars.direction_eq[index]
+    look.look_at(object_place(scene, star_eq).x_px * np.array([1, 0]) + [0, object_place(scene, star_eq).y_px], scene)
+    viewer.frame(0.0)
+    assert degrees(object_place(viewer.session.scene, star_eq).from_axis_rad) < 0.02
+
+
+def test_the_border_of_the_aircraft_s_image_is_where_its_corners_are(viewer):
+    session = viewer.session
+    own, scene = session.scene.camera, session.scene
+    corner_eq = scene.shutter[1:2].C_camera_eq[0].T @ own.unit_vectors([-0.5, -0.5])
+    look = looking(viewer)
+    outline = look.outline_px(session.loaded.simulator, session.scene)
+    place = session.scene.camera.project(session.scene.shutter[1:2].C_camera_eq[0] @ corner_eq)
+    np.testing.assert_allclose(outline[0], place, rtol=0, atol=0.1)
+
+
+def test_a_saved_frame_is_that_of_the_aircraft_s_camera(viewer, small):
+    looking(viewer)
+    save_frame(viewer.session)
+    viewer.session.export.wait()
+    assert viewer.session.export.error == ""
+    (truth,) = viewer.session.output.glob("*/truth.jsonl")
+    assert json.loads(truth.read_text())["camera"]["width_px"] == small.camera().width_px
+
+
+def test_the_sky_of_a_place_begins_to_move_at_the_typed_time(make_viewer):
+    viewer = make_viewer(None)
+    viewer.interface.sky.ask(viewer.session)
+    viewer.interface.sky._typed = {
+        "utc_start": "2024-03-25T13:00:00Z",
+        "latitude_deg": "48.2",
+        "longitude_deg": "16.4",
+        "height_m": "",
+    }
+    viewer.frame(0.0)
+    viewer.interface.sky._accept(viewer.session)
+    viewer.session.wait_for_flight()
+    viewer.frame(0.0)
+    session = viewer.session
+    assert session.head.first_s == parse_utc("2024-03-25T13:00:00Z")
+    assert session.head.playing
+    site = session.flight.position.at(session.head.first_s)
+    assert degrees(site.latitude_rad) == pytest.approx(48.2)
+    assert degrees(site.longitude_rad) == pytest.approx(16.4)
+    assert degrees(session.look.azimuth_rad) == pytest.approx(180.0)
+    assert session.image.error == ""
+
+
+def test_a_place_that_is_none_is_refused_in_the_dialog(make_viewer):
+    viewer = make_viewer(None)
+    viewer.interface.sky.ask(viewer.session)
+    viewer.interface.sky._typed |= {"latitude_deg": "95", "longitude_deg": "10"}
+    viewer.interface.sky._accept(viewer.session)
+    assert "latitude_deg" in viewer.interface.sky._error
+    assert not viewer.session.loader.is_busy
+
+
+def test_here_is_the_city_of_the_time_zone_until_a_place_is_typed(monkeypatch, tmp_path):
+    monkeypatch.setenv("TZ", "Australia/Adelaide")
+    here = Place.of_time_zone()
+    if here is None:
+        pytest.skip("this system has no table of time zones")
+    assert here.name == "Adelaide"
+    assert here.latitude_deg == pytest.approx(-34.92, abs=0.01)
+    assert here.longitude_deg == pytest.approx(138.58, abs=0.01)
+    monkeypatch.setenv("TZ", "UTC")
+    assert Place.of_time_zone() is None
+    memory = WindowMemory(tmp_path / "window.json", place=Place(48.2, 16.4, 170.0))
+    memory.save()
+    assert WindowMemory.load(tmp_path / "window.json").place == Place(48.2, 16.4, 170.0)
+    (tmp_path / "window.json").write_text('{"place": [95, 0, 0]}')
+    assert WindowMemory.load(tmp_path / "window.json").place is None
