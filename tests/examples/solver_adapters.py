@@ -131,6 +131,15 @@ def cedar_solve():
     return solve
 
 
+def eight_bits(image):
+    """Return an image of 8 bits, its sky at 16 and the noise 3 if it had more: zenith-fixer expects full scale."""
+    if image.dtype == np.uint8:
+        return image
+    signal = image - np.median(image)
+    noise = max(1.4826 * np.median(np.abs(signal)), 1e-6)
+    return np.clip(np.rint(16 + 3 * signal / noise), 0, 255).astype(np.uint8)
+
+
 def zenith_fixer():
     """zenith-fixer takes the image and glstar's up vector; its ellipse is of 2 sigma, in nautical miles."""
     import zenith  # noqa: PLC0415 - only the chosen solver is installed
@@ -142,9 +151,8 @@ def zenith_fixer():
         hour, minute, second = clock.split(":")
         utc = (*map(int, date.split("-")), int(hour), int(minute), float(second))
         try:
-            fix = zenith.resolve_fix(
-                camera.straightened(image), camera.fx, camera.cx, camera.cy, nav["up_camera"]["middle"], utc, catalogue
-            )
+            seen = camera.straightened(eight_bits(image))
+            fix = zenith.resolve_fix(seen, camera.fx, camera.cx, camera.cy, nav["up_camera"]["middle"], utc, catalogue)
         except zenith.ZenithError:
             return None
         major_nm, minor_nm, azimuth_deg = fix.ellipse_2sigma_nm
