@@ -22,7 +22,7 @@ def settle(viewer) -> None:
 def painted_completely(viewer) -> np.ndarray:
     """Return the window with the frame drawn last, painted completely."""
     picture = viewer.interface._image._picture
-    viewer.interface.painter._inputs = ()
+    viewer.interface.window_copy._inputs = ()
     picture._is_shown = picture._picture is not None
     viewer.interface.paint(viewer._surface.target, viewer._surface.size)
     return shown(viewer)
@@ -32,16 +32,16 @@ def test_what_has_not_changed_is_not_painted_again(viewer):
     settle(viewer)
     before = shown(viewer)
     viewer.frame(0.0)
-    assert viewer.interface.painter.painted == []
+    assert viewer.interface.window_copy.painted == []
     np.testing.assert_array_equal(shown(viewer), before)
 
 
 def test_a_step_of_the_play_head_paints_image_and_timeline_and_not_the_settings(viewer):
     settle(viewer)
-    settings = next(each for each in viewer.interface.painter._windows if each.name == "Settings").rect
+    settings = next(each for each in viewer.interface.window_copy._windows if each.name == "Settings").rect
     viewer.session.head.step_exposures(1)
     viewer.frame(0.0)
-    painted = viewer.interface.painter.painted
+    painted = viewer.interface.window_copy.painted
     assert painted
     assert not any(rect.meets(settings) for rect in painted)
     np.testing.assert_array_equal(shown(viewer), painted_completely(viewer))
@@ -64,7 +64,7 @@ def test_painted_parts_give_the_pixels_of_the_complete_window(viewer):
     for _ in range(80):
         rng.choice(actions)()
         viewer.frame(0.02)
-        parts += viewer.interface.painter.painted not in ([], [(0, 0, 900, 600)])
+        parts += viewer.interface.window_copy.painted not in ([], [(0, 0, 900, 600)])
         frame = shown(viewer)
         np.testing.assert_array_equal(frame, painted_completely(viewer))
     assert parts > 5

@@ -19,7 +19,7 @@ from glstar.viewer.ui.calibration import PHOTO_SUFFIXES, CalibrateWindow
 from glstar.viewer.ui.dialogs import ConnectDialog, ExportDialog, FileChooser, MissingDialog, SkyDialog, VideoDialog
 from glstar.viewer.ui.guide import ManualWindow, Tour, draw_help, draw_welcome
 from glstar.viewer.ui.layout import OBJECT, Panels
-from glstar.viewer.ui.painting import Rect, WindowPainter
+from glstar.viewer.ui.painting import Rect, WindowCopy
 from glstar.viewer.ui.panels.image import ImagePanel
 from glstar.viewer.ui.search import CommandPalette, FindWindow
 from glstar.viewer.ui.status import draw_notifications, draw_status_bar
@@ -134,7 +134,7 @@ class Interface:
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
-        self.painter = WindowPainter(context)
+        self.window_copy = WindowCopy(context)
         self.selection = Selection()
         self._image = ImagePanel(self._display, self.selection)
         has_layout = layout is not None and layout.exists()
@@ -218,11 +218,11 @@ class Interface:
         colour = (surface.x, surface.y, surface.z)
         with times.span("presenting"):
             picture_px = self._image.new_picture_px
-            copy = self.painter.begin(size, colour, None if picture_px is None else Rect(*picture_px))
+            copy = self.window_copy.begin(size, colour, None if picture_px is None else Rect(*picture_px))
         with times.span("drawing"):
             self._image.paint(copy, size, colour)
         with times.span("presenting"):
-            self.painter.finish(target)
+            self.window_copy.finish(target)
 
     @property
     def visible_px(self) -> tuple[int, int, int, int] | None:
@@ -346,7 +346,7 @@ class Interface:
         """Release the interface's objects on the GPU and in imgui; the session stays the caller's."""
         self.files.close()
         self.calibration.close()
-        self.painter.close()
+        self.window_copy.close()
         self._display.close()
         imgui.backends.opengl3_shutdown()
         implot.destroy_context(self._implot)

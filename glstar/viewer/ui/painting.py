@@ -55,7 +55,7 @@ _FAR_PX = 1e6
 _NOTHING = Rect(0, 0, 0, 0)
 
 
-class WindowPainter:
+class WindowCopy:
     """Paints what imgui has built; `context`: the current one, the window's."""
 
     def __init__(self, context: Context) -> None:
