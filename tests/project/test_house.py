@@ -24,8 +24,8 @@ MAX_LAYERS = 9
 # Lines of code: docstrings, comments and blank lines are free, so that no explanation is squeezed to meet a number.
 MAX_LINES = {"file": 400, "class": 300, "function": 60}
 MAX_SHADER_LINES = 500
-# The whole package, packages included.  It had 350 when its rooms were built; each capability since then (the camera of a
-# simulated flight, sets for solvers, one table of flags, looking around) brought some of its own.
+# The whole package, packages included.  It had 350 when its rooms were built; each capability since then (the camera of
+# a simulated flight, sets for solvers, one table of flags, a free view) brought some of its own.
 MAX_ALL_MODULES = 375
 
 
