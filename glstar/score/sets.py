@@ -8,13 +8,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import tomli_w
 
 from glstar import __version__
 from glstar.config import Config
 from glstar.errors import ConfigError, ExportError
+from glstar.export.imagefiles.formats import decode
 from glstar.export.navigator import blind_phase_s, estimates, publish_blind, write_nav
 from glstar.export.plan.frames import ExportOptions
 from glstar.export.run.executors import Executor
@@ -218,9 +218,11 @@ def sums_of(directory: Path) -> PartSums:
     """Return the checksums of the frames of an export."""
     digest, light, count = hashlib.sha256(), 0, 0
     for line in read_truth(directory):
-        pixels = cv2.imread(str(directory / line["file"]), cv2.IMREAD_UNCHANGED)
-        if pixels is None:
-            raise ExportError(directory / line["file"], "cannot be read; run the command again to draw it")
+        image = directory / line["file"]
+        try:
+            pixels = decode(image.read_bytes(), image.suffix)
+        except (OSError, ValueError) as error:
+            raise ExportError(image, f"{error}; remove it and run the command again to draw it") from None
         digest.update(f"{line['file']} {pixels.shape} {pixels.dtype.str}".encode())
         digest.update(np.ascontiguousarray(pixels).tobytes())
         light += int(pixels.sum(dtype=np.int64))

@@ -18,6 +18,7 @@ from glstar.config import Config
 from glstar.errors import ConfigError, ExportError, GlstarError
 from glstar.export.run.executors import SerialExecutor
 from glstar.render.opengl import GLRenderer
+from glstar.system.imagefiles import encode_png
 from glstar.score.board import group_rows, in_order, markdown, summary_rows
 from glstar.score.runs import read_result
 from glstar.score.sets import (
@@ -174,7 +175,7 @@ def test_a_pixel_that_differs_from_the_published_set_is_found_and_its_light_stat
     image = tiny.directory / "truth" / "bright" / "frame_000002.png"
     pixels = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
     pixels[7, 9] += 10
-    cv2.imwrite(str(image), pixels)
+    image.write_bytes(encode_png(pixels))
     changed = replace(tiny, parts={**tiny.parts, "bright": sums_of(image.parent)})
 
     difference = difference_from(changed, tiny)
