@@ -18,7 +18,6 @@ from glstar.config import Config
 from glstar.errors import ConfigError, ExportError, GlstarError
 from glstar.export.run.executors import SerialExecutor
 from glstar.render.opengl import GLRenderer
-from glstar.system.imagefiles import encode_png
 from glstar.score.board import group_rows, in_order, markdown, summary_rows
 from glstar.score.runs import read_result
 from glstar.score.sets import (
@@ -32,6 +31,7 @@ from glstar.score.sets import (
     set_names,
     sums_of,
 )
+from glstar.system.imagefiles import encode_png
 
 RUNNER = CliRunner()
 # Answers with the truth, which lies beside the frames; a real solver cannot see it.
