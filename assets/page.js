@@ -21,6 +21,10 @@
   }
 
   function path(points) {
+    if (points.length === 6) { // a parabola through start, middle and end
+      const [x0, y0, x1, y1, x2, y2] = points;
+      return "M" + x0 + " " + y0 + "Q" + (2 * x1 - (x0 + x2) / 2) + " " + (2 * y1 - (y0 + y2) / 2) + " " + x2 + " " + y2;
+    }
     let d = "";
     for (let k = 0; k + 1 < points.length; k += 2) d += (k ? "L" : "M") + points[k] + " " + points[k + 1];
     return d;
@@ -159,6 +163,6 @@
   }
   show(0);
   // The hash of an address, #3, opens a frame.
-  const asked = Number(location.hash.slice(1));
-  if (asked) show(frames.findIndex((frame) => frame.frame === asked));
+  const linked = Number(location.hash.slice(1));
+  if (linked) show(frames.findIndex((frame) => frame.frame === linked));
 })();

@@ -41,7 +41,9 @@ SPLIT_INDEX = "splits.json"
 DATA_CARD = "DATACARD.md"
 # The page of a set. Other programs write files of this name: only those that begin as glstar's are ever removed.
 REPORT = "index.html"
-_REPORT_START = b'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="glstar">\n'
+_REPORT_START = (
+    b'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="glstar">\n'
+)
 # Files that describe all frames of a complete export; they are removed when frames are added.
 SUMMARIES = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS), DATA_CARD, REPORT)
 

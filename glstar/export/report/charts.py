@@ -70,7 +70,8 @@ def ground_track(positions_deg: Sequence[tuple[float, float]]) -> str:
     placed = [(half + east * per_km, half - north * per_km) for north, east in offsets]
     step_km = _ticks(0.0, extent_km)[1]
     bar = (
-        f'<path class="bar" d="M20 {_MAP - 14:g}h{step_km * per_km:.1f}"/><text x="20" y="{_MAP - 20:g}">{step_km:.3g} km</text>'
+        f'<path class="bar" d="M20 {_MAP - 14:g}h{step_km * per_km:.1f}"/>'
+        f'<text x="20" y="{_MAP - 20:g}">{step_km:.3g} km</text>'
         f'<text x="{half:g}" y="14" text-anchor="middle">N</text>'
     )
     east_deg = (middle_deg[1] + 180.0) % 360.0 - 180.0
@@ -128,5 +129,3 @@ def _decades(values: Sequence[float]) -> list[float]:
     low, high = floor(log10(min(values))), ceil(log10(max(values)))
     step = max(1, ceil((high - low) / _MOST_TICKS))
     return [10.0**power for power in range(low, max(high, low + 1) + step, step)]
-
-

@@ -35,8 +35,8 @@ _PAGE = """<!DOCTYPE html>
 def page(title: str, sections: Iterable[str], data: Mapping[str, Any]) -> bytes:
     """Return a page as UTF-8.
 
-    `title` is text; `sections` are HTML, whose text the caller has escaped; `data` is what the script reads as JSON. The
-    page's policy allows the browser no network, and no script but that of glstar.
+    `title` is text; `sections` are HTML, whose text the caller has escaped; `data` is what the script reads as JSON.
+    The page's policy allows the browser no network, and no script but that of glstar.
     """
     script = asset("page.js").read_text(encoding="utf-8")
     digest = b64encode(sha256(script.encode()).digest()).decode()
@@ -78,6 +78,12 @@ def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     cells = "".join(f"<th>{escape(cell)}</th>" for cell in heading)
     body = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f'<div class="wide"><table>\n<tr>{cells}</tr>\n{body}\n</table></div>'
+
+
+def columns(kind: str, parts: Iterable[str]) -> str:
+    """Return charts side by side where the screen has room; `kind`: "curves" or "maps"."""
+    inside = "\n".join(parts)
+    return f'<div class="{kind}">\n{inside}\n</div>'
 
 
 def thumbnails(pictures: Iterable[tuple[str, bytes]]) -> str:

@@ -29,6 +29,8 @@ _QUALITIES = (
 )  # fmt: skip
 # Stars that are drawn over an image; of these, the ones with a name beside them.
 _MOST_STARS, _MOST_NAMES = 150, 20
+# Radius of the circle about a star, px.
+_CIRCLE_PX = 6.0
 # Signal-to-noise ratio of a detectable star, as in ``glstar score``.
 DETECTABLE_SNR = 10.0
 # Of the display: its slope is that of a linear one up to this many standard deviations of the sky, and white is at the
@@ -75,7 +77,9 @@ def _compressed(shown: NDArray[np.uint8], most_bytes: int) -> bytes:
     fitting = min(1.0, _MOST_PX / max(shown.shape[:2]))
     for fraction, quality in _QUALITIES:
         height, width = (max(1, round(side * fraction * fitting)) for side in shown.shape[:2])
-        smaller = shown if (height, width) == shown.shape[:2] else cv2.resize(shown, (width, height), 0, 0, 0, cv2.INTER_AREA)
+        smaller = (
+            shown if (height, width) == shown.shape[:2] else cv2.resize(shown, (width, height), 0, 0, 0, cv2.INTER_AREA)
+        )
         jpeg = encode_jpeg(smaller, quality)
         if len(jpeg) <= most_bytes:
             break
@@ -85,17 +89,17 @@ def _compressed(shown: NDArray[np.uint8], most_bytes: int) -> bytes:
 def drawing_of(line: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the page's script draws over an image: the brightest stars, bodies and satellites of a line of truth.
 
-    Each mark is [name, whether it is detectable, [x, y] of its middle or null, radius, px, trails], a trail being x and y
-    in turn, px from the centre of the top left pixel.
+    Each mark is [name, whether it is detectable, [x, y] of its middle or null, radius, trails], in px from the centre
+    of the top left pixel; a trail is x and y in turn.
     """
     marks = []
     for number, star in enumerate(line["stars"][:_MOST_STARS]):
         name = _name_of(str(line.get("catalogue", "")), star["star_id"]) if number < _MOST_NAMES else ""
-        marks.append(_mark(star, name, star.get("snr", 0.0) >= DETECTABLE_SNR, 6.0))
-    for body in line.get("bodies", ()):
-        marks.append(_mark(body, str(body["name"]), True, 6.0 + float(body.get("diameter_px", 0.0)) / 2))
-    for satellite in line.get("satellites", ()):
-        marks.append(_mark(satellite, str(satellite["name"]), True, 6.0))
+        is_detectable = star.get("snr", 0.0) >= DETECTABLE_SNR
+        marks.append(_mark(star, name, is_detectable=is_detectable, radius_px=_CIRCLE_PX))
+    for other in (*line.get("bodies", ()), *line.get("satellites", ())):
+        radius_px = _CIRCLE_PX + float(other.get("diameter_px", 0.0)) / 2
+        marks.append(_mark(other, str(other["name"]), is_detectable=True, radius_px=radius_px))
     return {
         "file": str(line.get("file", "")),
         "frame": int(line["frame"]),
@@ -106,7 +110,7 @@ def drawing_of(line: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _mark(one: Mapping[str, Any], name: str, is_detectable: bool, radius_px: float) -> list[Any]:  # noqa: FBT001
+def _mark(one: Mapping[str, Any], name: str, *, is_detectable: bool, radius_px: float) -> list[Any]:
     middle = None if one["x_px"] is None else [_tenths(one["x_px"]), _tenths(one["y_px"])]
     stacked = [[start, end] for start, end in one.get("segments", ())]
     trails = [

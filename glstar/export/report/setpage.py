@@ -1,4 +1,4 @@
-"""The page of a set: ``index.html`` with frames, truth, curves and data card, as ``glstar export --report`` writes it."""
+"""The page of a set: ``index.html`` of ``glstar export --report``, with frames, truth, curves and data card."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from glstar.errors import ExportError
 from glstar.export.directory import REPORT, explain_disk_errors, is_own_report
 from glstar.export.report.charts import Point, curve, ground_track, sky_track
-from glstar.export.report.html import markdown, page, paragraph, section, table, thumbnails, viewer
+from glstar.export.report.html import columns, markdown, page, paragraph, section, table, thumbnails, viewer
 from glstar.export.report.pictures import DETECTABLE_SNR, MOST_FRAMES, Picture, drawing_of, picture_of
 from glstar.export.truth.datacard import describe_frames
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
@@ -80,13 +80,10 @@ def set_page(directory: Path) -> bytes:
     sections = [
         section("The set", *intro),
         section("Frames", viewer(TRUTH_SWITCHES), thumbnails(_thumbnails(shown))),
-        section("By frame", *_curves(shown)),
+        section("By frame", columns("curves", _curves(shown))),
         section(
             "Where",
-            '<div class="maps">',
-            ground_track([one.position_deg for one in shown]),
-            sky_track([one.axis_deg for one in shown]),
-            "</div>",
+            columns("maps", (ground_track([o.position_deg for o in shown]), sky_track([o.axis_deg for o in shown]))),
         ),
         section("Data card", markdown(card), is_closed=True),
     ]
@@ -102,10 +99,10 @@ def evenly(count: int, most: int) -> list[int]:
 def _facts(card: str, first: Mapping[str, Any], last: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     """Return what a set is, of the sections of its data card."""
     sections = dict(block.split("\n\n", 1) for block in card.split("\n## ")[1:])
-    for line in sections["Content"].splitlines():
+    for number, line in enumerate(sections["Content"].splitlines()):
         cells = line.strip("| ").split(" | ")
         if line.startswith("- ") and "truth.jsonl" not in line:
-            yield "content", line[2:]
+            yield "" if number > 2 else "content", line[2:]
         elif line.startswith("| ") and cells[0] != "flight":
             yield "flight", cells[0]
     for line in sections.get("Camera", "").splitlines():
@@ -145,7 +142,8 @@ def _shown(directory: Path, line: Mapping[str, Any], frames: int) -> _Shown:
         f"{detectable} detectable of {len(line['stars'])} stars",
         "" if rate is None else f"{rate:.3g} deg/s",
         f"azimuth {axis_deg[0]:.1f}, altitude {axis_deg[1]:.1f} deg",
-        f"latitude {site['latitude_deg']:.5f}, longitude {site['longitude_deg']:.5f} deg, height {site['height_m']:.0f} m",
+        f"latitude {site['latitude_deg']:.5f}, longitude {site['longitude_deg']:.5f} deg",
+        f"height {site['height_m']:.0f} m",
         f"sky {picture.sky_dn:.4g} DN",
         *(f"{key} = {value}" for key, value in line.get("settings", {}).items()),
     ]
