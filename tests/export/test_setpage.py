@@ -299,3 +299,47 @@ def test_chromium_draws_the_truth_over_the_first_frame_without_an_error(exported
     assert stage.count("<path") == sum(len(mark[4]) for mark in marks)
     assert "frame 0, frame_000000.png" in shown.stdout
     assert 'viewBox="0 0 120 90"' in shown.stdout
+
+
+# Turns the wheel over the middle of the frame, drags, presses a switch, changes the frame, and clicks twice.
+ACTIONS = """
+const stage = document.getElementById("stage"), box = stage.getBoundingClientRect(), seen = [];
+const x = box.left + box.width / 2, y = box.top + box.height / 2;
+const note = () => seen.push(stage.getAttribute("viewBox").split(" ").map(Number));
+const at = (kind, dx) => stage.dispatchEvent(
+  new PointerEvent(kind, { clientX: x + dx, clientY: y, pointerId: 1, bubbles: true }));
+stage.setPointerCapture = () => {};
+note();
+stage.dispatchEvent(new WheelEvent("wheel", { deltaY: -500, clientX: x, clientY: y, cancelable: true }));
+note();
+at("pointerdown", 0); at("pointermove", 20); at("pointerup", 20); at("pointermove", 90);
+note();
+stage.dispatchEvent(new MouseEvent("dblclick"));
+note();
+document.querySelector('[data-layer="names"]').click();
+document.getElementById("after").click();
+seen.push(document.getElementById("caption").textContent, stage.querySelector("g.names").style.display, box.width);
+document.title = JSON.stringify(seen);
+"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_chromium_zooms_with_the_wheel_moves_by_dragging_and_resets_on_a_double_click(
+    exported: Path, tmp_path: Path
+) -> None:
+    assert CHROMIUM is not None
+    text = re.sub(r"<meta http-equiv[^>]*>", "", (exported / "index.html").read_text())
+    (tmp_path / "page.html").write_text(text.replace("</body>", f"<script>{ACTIONS}</script></body>"))
+    flags = ("--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}")
+    command = [CHROMIUM, *flags, "--dump-dom", (tmp_path / "page.html").as_uri()]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    whole, near, moved, reset, caption, names, width_px = json.loads(shown.split("<title>")[1].split("</title>")[0])
+
+    assert whole == reset == [0, 0, 120, 90]
+    # exp(500 * 0.0015) times as large, about the middle
+    np.testing.assert_allclose(near, (31.66, 23.74, 56.68, 42.51), rtol=0, atol=0.3)
+    # The image follows the pointer: 20 px of the screen to the right.  The stage is as high as the image is wide.
+    assert near[0] - moved[0] > 20 * near[2] / width_px * 0.99
+    assert moved[1:] == near[1:]
+    assert caption.startswith("frame 1, ")
+    assert names == "none"
