@@ -98,6 +98,12 @@ def is_own_report(path: Path) -> bool:
         return file.read(len(_REPORT_START)) == _REPORT_START
 
 
+def refuse_other_page(path: Path) -> None:
+    """Raise ExportError if another program's page is where a page is to be written."""
+    if path.exists() and not is_own_report(path):
+        raise ExportError(path, "is a page that glstar did not write; move it, or choose another directory")
+
+
 def remove_own_files(directory: Path) -> None:
     """Remove every file of an export, and its folders if nothing else is in them."""
     revoke_leases(directory)

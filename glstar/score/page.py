@@ -10,9 +10,17 @@ import numpy as np
 from glstar.arrays import Float
 from glstar.errors import ExportError
 from glstar.export.report.charts import curve
-from glstar.export.report.html import columns, page, paragraph, section, table, thumbnails, viewer
-from glstar.export.report.pictures import drawing_of, picture_of
-from glstar.export.report.setpage import TRUTH_SWITCHES, evenly
+from glstar.export.report.html import (
+    TRUTH_SWITCHES,
+    columns,
+    evenly,
+    page,
+    paragraph,
+    section,
+    table,
+    thumbnails,
+    viewer,
+)
 from glstar.export.truth.lines import read_truth
 from glstar.score.answers import ObservedStars
 from glstar.score.frames import FrameScore, FrameTruth, Outcome
@@ -122,6 +130,8 @@ def _pictures(
     directory: Path, worst: Sequence[FrameScore], star_px: float
 ) -> Iterator[tuple[int, tuple[dict[str, Any], bytes]]]:
     """Return the drawing and the JPEG of each frame whose image can be read, by frame number."""
+    from glstar.export.report.pictures import drawing_of, picture_of  # noqa: PLC0415 - OpenCV
+
     scores = {one.truth.frame: one for one in worst}
     folder = directory if directory.is_dir() else directory.parent
     for line in read_truth(directory):

@@ -90,10 +90,7 @@ def score(
     verdicts = judged(gate_limits, found)
     text = json.dumps(found.json | _gate_json(gate, verdicts), indent=1) + "\n"
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_atomically(output / "score.json", text.encode())
-        draw_score(found, output / "score.png")
-        _write_page(found, export, answers, output, tolerance_px)
+        _write(found, text, export, answers, output, tolerance_px)
     if json_output:
         typer.echo(text, nl=False)
     else:
@@ -102,12 +99,15 @@ def score(
         _report_gate(gate, gate_limits, verdicts, as_json=json_output)
 
 
-def _write_page(found: Score, export: Path, answers: Path, output: Path, tolerance_px: float) -> None:
-    from glstar.export.directory import REPORT  # noqa: PLC0415 - OpenCV
-    from glstar.export.report.setpage import refuse_other_page  # noqa: PLC0415 - OpenCV
+def _write(found: Score, text: str, export: Path, answers: Path, output: Path, tolerance_px: float) -> None:
+    """Write the score as JSON, as plots and as a page."""
+    from glstar.export.directory import REPORT, refuse_other_page  # noqa: PLC0415 - OpenCV
     from glstar.score.page import score_page  # noqa: PLC0415 - OpenCV
 
     refuse_other_page(output / REPORT)
+    output.mkdir(parents=True, exist_ok=True)
+    write_atomically(output / "score.json", text.encode())
+    draw_score(found, output / "score.png")
     write_atomically(output / REPORT, score_page(found, export, answers, star_px=tolerance_px))
 
 

@@ -7,8 +7,12 @@ from hashlib import sha256
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from glstar.system.resources import asset
 
+# Marks of the truth that the viewer can hide, by their class in assets/page.js.
+TRUTH_SWITCHES = {"trails": "trails", "circles": "detectable stars", "names": "names"}
 # Content of ``<meta name="generator">``: by it glstar recognises its own pages.
 GENERATOR = "glstar"
 
@@ -58,6 +62,11 @@ def _for_script(data: Mapping[str, Any]) -> str:
     """Return JSON that cannot end its element, whatever text is in it."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Return at most this many of the numbers from 0 to count - 1, evenly chosen, with the first and the last."""
+    return sorted({round(k) for k in np.linspace(0, count - 1, min(count, most)).tolist()})
 
 
 def section(title: str, *content: str, is_closed: bool = False) -> str:

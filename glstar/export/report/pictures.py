@@ -33,8 +33,8 @@ _MOST_STARS, _MOST_NAMES = 150, 20
 _CIRCLE_PX = 6.0
 # Signal-to-noise ratio of a detectable star, as in ``glstar score``.
 DETECTABLE_SNR = 10.0
-# Of the display: its slope is that of a linear one up to this many standard deviations of the sky, and white is at the
-# brightest pixels, but at least so many above the sky.
+# The display is linear up to this many standard deviations of the sky; white is at the brightest pixels, but at least
+# this many standard deviations above the sky.
 _LINEAR_SIGMA, _WHITE_SIGMA = 3.0, 30.0
 
 

@@ -8,10 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from glstar.errors import ExportError
-from glstar.export.directory import REPORT, explain_disk_errors, is_own_report
+from glstar.export.directory import REPORT, explain_disk_errors, refuse_other_page
 from glstar.export.report.charts import Point, curve, ground_track, sky_track
-from glstar.export.report.html import columns, markdown, page, paragraph, section, table, thumbnails, viewer
+from glstar.export.report.html import (
+    TRUTH_SWITCHES,
+    columns,
+    evenly,
+    markdown,
+    page,
+    paragraph,
+    section,
+    table,
+    thumbnails,
+    viewer,
+)
 from glstar.export.report.pictures import DETECTABLE_SNR, MOST_FRAMES, Picture, drawing_of, picture_of
 from glstar.export.truth.datacard import describe_frames
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
@@ -19,8 +29,6 @@ from glstar.export.truth.overlays import camera_of
 from glstar.rotation import fitted_rotation, matrix_from_quaternion, turn_from_matrix
 from glstar.system.files import write_atomically
 
-# Marks of the truth that the viewer can hide, by their class in assets/page.js.
-TRUTH_SWITCHES = {"trails": "trails", "circles": "detectable stars", "names": "names"}
 # A rotation needs this many stars.
 _LEAST_STARS = 3
 
@@ -36,12 +44,6 @@ def write_report(directory: Path) -> Path:
     with explain_disk_errors(path):
         write_atomically(path, set_page(directory))
     return path
-
-
-def refuse_other_page(path: Path) -> None:
-    """Raise ExportError if another program's page is where a page is to be written."""
-    if path.exists() and not is_own_report(path):
-        raise ExportError(path, "is a page that glstar did not write; move it, or choose another directory")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +91,6 @@ def set_page(directory: Path) -> bytes:
     ]
     title = f"{directory.absolute().name}: {frames} frame{'s' * (frames != 1)}"
     return page(title, sections, {"frames": [one.drawing | {"facts": one.facts} for one in shown]})
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """Return at most this many of the numbers from 0 to count - 1, evenly chosen, with the first and the last."""
-    return sorted({round(k) for k in np.linspace(0, count - 1, min(count, most)).tolist()})
 
 
 def _facts(card: str, first: Mapping[str, Any], last: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
