@@ -105,6 +105,11 @@ def thumbnails(pictures: Iterable[tuple[str, bytes]]) -> str:
     return f'<div class="thumbnails">\n{buttons}\n</div>'
 
 
+def picture(title: str, png: bytes) -> str:
+    """Return an image, a PNG, that fills the width."""
+    return f'<img class="plot" alt="{escape(title)}" src="data:image/png;base64,{b64encode(png).decode()}">'
+
+
 def viewer(switches: Mapping[str, str]) -> str:
     """Return the viewer of a frame; `switches`: label of each kind of mark that can be hidden, by its class."""
     boxes = "".join(
