@@ -195,6 +195,7 @@ CONCEPTS: Final = (
     Concept("split-shares", "their shares", LEARNING, "80,10,10"),
     Concept("split-seed", "seed of the split", LEARNING, _N),
     Concept("card", "a data card", LEARNING),
+    Concept("report", "a page of the set for a browser", LEARNING),
     Concept("min-snr", "smallest signal-to-noise ratio of a labelled star", LEARNING, _N),
     Concept("shard-frames", "frames of a tar file", LEARNING, _N),
     # Processes and machines.

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from glstar.arrays import Float
 from glstar.compare.alignment import Alignment
 from glstar.compare.comparison import Comparison, by_star, column, shift_grid
+from glstar.compare.page import comparison_page
 from glstar.compare.pairs import Cutouts, Pair
-from glstar.export.directory import explain_disk_errors
+from glstar.export.directory import REPORT, explain_disk_errors, refuse_other_page
 from glstar.sky.catalogue.reading import star_label
 from glstar.sky.photometry import magnitude_difference
 from glstar.system.files import write_atomically
@@ -31,6 +32,14 @@ _DPI = 110
 _REAL, _BASELINE, _SATURATED = "tab:red", "0.6", "tab:orange"
 _COLOUR = "tab:blue"
 _BINS = 40
+
+
+# Titles of the plots on the page.
+_TITLES = {
+    "compare.png": "Measured against simulated",
+    "best.png": "Pairs with the smallest centroid distance",
+    "worst.png": "Pairs with the largest centroid distance beyond the noise",
+}
 
 
 def draw_plots(comparison: Comparison) -> bytes:
@@ -300,19 +309,25 @@ def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> l
     """Write a comparison's files, each atomically.
 
     `directory`: created if it does not exist; `about`: more entries of ``compare.json``.  Returns the paths of
-    ``compare.json``, ``pairs.csv``, ``compare.png``, ``best.png`` and ``worst.png``.  Raises ExportError if they cannot
-    be written.
+    ``pairs.csv``, ``compare.png``, ``best.png``, ``worst.png``, the page ``index.html`` and ``compare.json``.  Raises
+    ExportError if they cannot be written, or another program's page is there.
     """
     facts = json.dumps(comparison_json(comparison, **about), indent=1, allow_nan=False) + "\n"
-    contents = {
-        "pairs.csv": comparison_table(comparison).encode(),
+    plots = {
         "compare.png": draw_plots(comparison),
         "best.png": draw_pairs(comparison.best, "the pairs with the smallest centroid distance"),
         "worst.png": draw_pairs(comparison.worst, "the pairs with the largest centroid distance beyond the noise"),
+    }
+    shown = {_TITLES[name]: png for name, png in plots.items()}
+    contents = {
+        "pairs.csv": comparison_table(comparison).encode(),
+        **plots,
+        REPORT: comparison_page(comparison, shown, {name: str(value) for name, value in about.items()}),
         # Written last: if it exists, so do the others.
         "compare.json": facts.encode(),
     }
     with explain_disk_errors(directory):
+        refuse_other_page(directory / REPORT)
         directory.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():
             write_atomically(directory / name, content)

@@ -39,14 +39,19 @@ TABLES = ("frames.parquet", "stars.parquet", "bodies.parquet", "satellites.parqu
 SPLITS = ("train", "validation", "test")
 SPLIT_INDEX = "splits.json"
 DATA_CARD = "DATACARD.md"
+# The page of a set. Other programs write files of this name: only those that begin as glstar's are ever removed.
+REPORT = "index.html"
+_REPORT_START = (
+    b'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="glstar">\n'
+)
 # Files that describe all frames of a complete export; they are removed when frames are added.
-SUMMARIES = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS), DATA_CARD)
+SUMMARIES = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS), DATA_CARD, REPORT)
 
 # Matches the name of every file that an export writes.
 OURS = re.compile(
     r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)|manifest\.json"
     r"|nav\.jsonl(\.partial)?|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
-    r"|(frames|stars|bodies|satellites)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md"
+    r"|(frames|stars|bodies|satellites)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md|index\.html"
 )
 
 _FOLDER = re.compile(r"frames_\d{6,}")
@@ -87,6 +92,18 @@ def frame_numbers(directory: Path, suffix: str) -> NDArray[np.int64]:
     return np.unique(np.fromiter((int(match[1]) for match in found), dtype=np.int64))
 
 
+def is_own_report(path: Path) -> bool:
+    """Return whether a file is a page that glstar wrote; raises OSError if it cannot be read."""
+    with path.open("rb") as file:
+        return file.read(len(_REPORT_START)) == _REPORT_START
+
+
+def refuse_other_page(path: Path) -> None:
+    """Raise ExportError if another program's page is where a page is to be written."""
+    if path.exists() and not is_own_report(path):
+        raise ExportError(path, "is a page that glstar did not write; move it, or choose another directory")
+
+
 def remove_own_files(directory: Path) -> None:
     """Remove every file of an export, and its folders if nothing else is in them."""
     revoke_leases(directory)
@@ -94,7 +111,8 @@ def remove_own_files(directory: Path) -> None:
         if is_folder_name(entry.name) and entry.is_symlink():
             entry.unlink()  # only the link, not its target
     for path in output_files(directory):
-        if path.name.startswith(TEMPORARY) or OURS.fullmatch(path.name):
+        is_ours = OURS.fullmatch(path.name) and (path.name != REPORT or is_own_report(path))
+        if path.name.startswith(TEMPORARY) or is_ours:
             path.unlink(missing_ok=True)
     for folder in frame_folders(directory):
         flush_directory(folder)

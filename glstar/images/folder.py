@@ -35,6 +35,7 @@ _COMPANIONS = (
     "validation.txt",
     "test.txt",
     "DATACARD.md",
+    "index.html",
 )
 
 

@@ -13,10 +13,10 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.camera.distortion import Lens
 from glstar.camera.model import AttitudeError, Camera
 from glstar.errors import AnswersError, reading
 from glstar.export.truth.lines import has_truth, read_truth
+from glstar.export.truth.overlays import camera_of
 from glstar.rotation import euler_from_quaternion, fitted_rotation
 from glstar.score.answers import Answer, ObservedStars
 from glstar.sky.catalogue.reading import StarCatalogue
@@ -212,7 +212,7 @@ def _frame_truth(line: Mapping[str, Any], clock_offset_s: float, least_snr: floa
         height_m=float(site["height_m"]),
         yaw_rad=float(yaw_rad),
         C_camera_icrs=np.array(line["C_camera_icrs"], dtype=np.float64).reshape(3, 3),
-        camera=_camera(line["camera"]),
+        camera=camera_of(line["camera"]),
         catalogue=str(line["catalogue"]),
         star_id=np.array([star["star_id"] for star in stars], dtype=np.int64),
         xy_px=xy_px,
@@ -225,23 +225,6 @@ def _frame_truth(line: Mapping[str, Any], clock_offset_s: float, least_snr: floa
 
 def _positions(pairs: list[tuple[float | None, float | None]]) -> Float:
     return np.array(pairs, dtype=np.float64).reshape(-1, 2)
-
-
-def _camera(keys: Mapping[str, Any]) -> Camera:
-    K = np.array(keys["K"], dtype=np.float64)
-    lens = keys.get("lens", "none")
-    return Camera(
-        width_px=keys["width_px"],
-        height_px=keys["height_px"],
-        fx_px=K[0, 0],
-        fy_px=K[1, 1],
-        cx_px=K[0, 2],
-        cy_px=K[1, 2],
-        skew_px=K[0, 1],
-        lens=None
-        if lens == "none"
-        else Lens(lens, tuple(keys["distortion"]), float(np.deg2rad(keys.get("max_angle_deg", 180.0)))),
-    )
 
 
 class Outcome(StrEnum):

@@ -213,6 +213,14 @@ METRICS = (
     ),
 )
 
+# The errors in the order of the printed table: below each one its parts.
+ERRORS = tuple(
+    metric
+    for whole in METRICS
+    if whole.units and not whole.part_of
+    for metric in (whole, *(part for part in METRICS if part.part_of == whole.name))
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:

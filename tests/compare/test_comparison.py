@@ -347,7 +347,13 @@ def test_the_same_comparison_writes_the_same_files(
 
     first = write_comparison(compared, tmp_path / "first")
 
-    assert [path.name for path in first] == ["pairs.csv", "compare.png", "best.png", "worst.png", "compare.json"]
+    names = ["pairs.csv", "compare.png", "best.png", "worst.png", "index.html", "compare.json"]
+    assert [path.name for path in first] == names
+    page = first[4].read_text(encoding="utf-8")
+    assert f"<tr><td>stars paired on them</td><td>{len(compared.pairs)}</td></tr>" in page
+    assert all(f"<td>{label}</td>" in page for label, _ in compared.figures)
+    assert page.count('<img class="plot"') == 3
+    assert write_comparison(again, tmp_path / "first")[4].read_text(encoding="utf-8") == page
     assert comparison_table(again) == first[0].read_text(encoding="utf-8")
     assert comparison_json(again) == comparison_json(compared)
     facts = json.loads((tmp_path / "first" / "compare.json").read_text(encoding="utf-8"))

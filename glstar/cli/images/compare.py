@@ -95,7 +95,7 @@ def compare(
 ) -> None:
     """Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.
 
-    Writes plots, cutouts of the best and worst pairs, a table of all pairs and JSON into a directory; with
+    Writes plots, cutouts of the best and worst pairs, a page for a browser, a table and JSON into a directory; with
     --fit-time-offset, --fit-mount or --fit-readout also aligned.toml, the settings with the fitted values.
 
     Try: glstar compare flight.BIN photographs -c camera.toml -o compared --fit-time-offset --fit-mount

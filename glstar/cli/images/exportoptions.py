@@ -173,6 +173,12 @@ Card = Annotated[
     bool | None,
     typer.Option("--card/--no-card", help="Write DATACARD.md.", show_default="yes for a data set, no for one flight"),
 ]
+Report = Annotated[
+    bool,
+    typer.Option(
+        "--report", help="Write index.html: frames, truth and curves as one page for a browser, without a network."
+    ),
+]
 # Fraction of frames near one of the training from which a split is no test, and is noted.
 _MOST_NEAR = 0.1
 _DEFAULT_SHARES = "80,10,10"
@@ -243,13 +249,14 @@ class SummaryFiles:
     split_shares: SplitShares = _DEFAULT_SHARES
     split_seed: SplitSeed = 0
     card: Card = None  # None: for data sets only
+    report: Report = False
 
     def check(self, *, verify: bool) -> None:
         """Refuse to write beside ``--verify``; raises ConfigError if the shares are not valid."""
         from glstar.export.truth.splits import SplitRule  # noqa: PLC0415 - OpenCV
 
         SplitRule.parse(self.split_shares)
-        flags = {"--parquet": self.parquet, "--split": self.split, "--card": self.card}
+        flags = {"--parquet": self.parquet, "--split": self.split, "--card": self.card, "--report": self.report}
         given = [flag for flag, value in flags.items() if value]
         if verify and given:
             raise typer.BadParameter(f"only compares; leave out {' and '.join(given)}", param_hint="--verify")
@@ -257,7 +264,7 @@ class SummaryFiles:
     @property
     def asked(self) -> dict[str, object]:
         """The options that ask for files, by name."""
-        return {"parquet": self.parquet, "split": self.split, "card": self.card}
+        return {"parquet": self.parquet, "split": self.split, "card": self.card, "report": self.report}
 
     def finish(self, job: "Export", output: Path) -> tuple[Path, ...]:
         """Write the files of a complete export and return its Parquet tables.
@@ -265,6 +272,7 @@ class SummaryFiles:
         `output`: the directory that the user named; with ``--blind`` it gets the lists of the split too.
         """
         from glstar.export.directory import SPLITS  # noqa: PLC0415 - OpenCV
+        from glstar.export.report.setpage import write_report  # noqa: PLC0415 - OpenCV
         from glstar.export.truth.datacard import write_card  # noqa: PLC0415 - OpenCV
         from glstar.export.truth.splits import SplitRule, write_splits  # noqa: PLC0415 - OpenCV
 
@@ -283,6 +291,8 @@ class SummaryFiles:
         is_data_set = "flights" in job.manifest
         if self.card or (self.card is None and is_data_set):
             write_card(job.directory)
+        if self.report:
+            echo_note(f"page: {write_report(job.directory)}")
         return _write_parquet(job.directory) if self.parquet else ()
 
 

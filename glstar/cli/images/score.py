@@ -13,7 +13,7 @@ from rich.table import Table
 from glstar.cli.tables import console_of_width, print_table
 from glstar.score.frames import Limits
 from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
-from glstar.score.metrics import METRICS, Metric, Spread, Summary
+from glstar.score.metrics import ERRORS, METRICS, Metric, Spread, Summary
 from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Orbit, Score, draw_score, orbits_by_setting
 from glstar.system.files import write_atomically
 
@@ -40,7 +40,12 @@ def score(
     json_output: Annotated[bool, typer.Option("--json", help="Print the whole score as JSON.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Write score.json and score.png into this directory.", show_default=False),
+        typer.Option(
+            "-o",
+            "--output",
+            help="Write score.json, score.png and index.html, a page for a browser, into this directory.",
+            show_default=False,
+        ),
     ] = None,
     false_deg: Annotated[float, typer.Option(help="Largest error of the optical axis of a solved frame, deg.")] = 1.0,
     false_roll_deg: Annotated[
@@ -85,9 +90,7 @@ def score(
     verdicts = judged(gate_limits, found)
     text = json.dumps(found.json | _gate_json(gate, verdicts), indent=1) + "\n"
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_atomically(output / "score.json", text.encode())
-        draw_score(found, output / "score.png")
+        _write(found, text, export, answers, output, tolerance_px)
     if json_output:
         typer.echo(text, nl=False)
     else:
@@ -96,11 +99,23 @@ def score(
         _report_gate(gate, gate_limits, verdicts, as_json=json_output)
 
 
+def _write(found: Score, text: str, export: Path, answers: Path, output: Path, tolerance_px: float) -> None:
+    """Write the score as JSON, as plots and as a page."""
+    from glstar.export.directory import REPORT, refuse_other_page  # noqa: PLC0415 - OpenCV
+    from glstar.score.page import score_page  # noqa: PLC0415 - OpenCV
+
+    refuse_other_page(output / REPORT)
+    output.mkdir(parents=True, exist_ok=True)
+    write_atomically(output / "score.json", text.encode())
+    draw_score(found, output / "score.png")
+    write_atomically(output / REPORT, score_page(found, export, answers, star_px=tolerance_px))
+
+
 def _print_score(found: Score, output: Path | None, by: frozenset[str]) -> None:
     console = console_of_width(_PIPE_COLUMNS)
     _print(found, console, by)
     if output is not None:
-        typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
+        typer.echo(f"{output / 'score.json'}, {output / 'score.png'}, {output / 'index.html'}")
 
 
 def _gate_json(gate: Path | None, verdicts: Sequence[Verdict]) -> dict[str, object]:
@@ -138,10 +153,8 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
         f"{whole.frames} frames: {whole.solved} solved, {whole.refused} refused, {whole.false} false", highlight=False
     )
     table = Table("error of solved frames", "median", "rms", "90 %", "frames", box=None)
-    for metric in METRICS:
-        if metric.units and not metric.part_of:
-            for part in (metric, *(other for other in METRICS if other.part_of == metric.name)):
-                _add_errors(table, part, whole)
+    for metric in ERRORS:
+        _add_errors(table, metric, whole)
     print_table(table, pipe_columns=_PIPE_COLUMNS)
     precision, recall = whole.number("precision"), whole.number("recall")
     if precision is not None:

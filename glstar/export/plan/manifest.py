@@ -24,7 +24,16 @@ from glstar import __version__
 from glstar.camera.sensor.sensor import Sensor
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
-from glstar.export.directory import OURS, SUMMARIES, TABLES, create, output_files, refuse_link
+from glstar.export.directory import (
+    OURS,
+    REPORT,
+    SUMMARIES,
+    TABLES,
+    create,
+    is_own_report,
+    output_files,
+    refuse_link,
+)
 from glstar.export.imagefiles.masks import masks_of
 from glstar.export.imagefiles.processing import CameraProcessing
 from glstar.export.plan.dataset import HASH_DIGITS, DataSetFrames, file_hash
@@ -217,6 +226,8 @@ def holds_frames(directory: Path) -> bool:
             return True
         is_left_over = path.name.endswith(".partial") and path.name.startswith("nav.")
         is_filled = path.name in SUMMARIES or path.stat().st_size > 0
+        if path.name == REPORT and not is_own_report(path):
+            continue
         if OURS.fullmatch(path.name) and is_filled and not is_left_over:
             return True
     return False
@@ -238,6 +249,8 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
         return False
     # Remove them before the manifest is written, so that they never have fewer frames than it says.
     removed = [name for name in SUMMARIES if os.path.lexists(directory / name)]
+    if REPORT in removed and not is_own_report(directory / REPORT):
+        removed.remove(REPORT)
     for name in removed:
         (directory / name).unlink(missing_ok=True)
     write_manifest(directory, manifest)

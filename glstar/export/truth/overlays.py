@@ -5,13 +5,15 @@ closing, or of a stack one for each short exposure.  In Foxglove, annotations co
 left one, while the camera matrix counts from its centre, as glstar does: see `CORNER_PX`.
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from glstar.arrays import Float
-from glstar.camera.distortion import COEFFICIENTS
+from glstar.camera.distortion import COEFFICIENTS, Lens
+from glstar.camera.model import Camera
 from glstar.rotation import conjugate, multiply, quaternion_from_matrix
 
 WORLD, BODY, CAMERA = "map", "base_link", "camera_optical"
@@ -74,6 +76,24 @@ def q_body_camera(line: dict[str, Any]) -> Float:
     """Return the mount as (w, x, y, z): from right, down, along the optical axis to forward, left, up."""
     q_camera_body = quaternion_from_matrix(np.array(line["C_camera_body"]))
     return multiply(_Q_FLU_FRD, conjugate(q_camera_body))
+
+
+def camera_of(keys: Mapping[str, Any]) -> Camera:
+    """Return the camera of the key ``camera`` of a line of truth."""
+    K = np.array(keys["K"], dtype=np.float64)
+    lens = keys.get("lens", "none")
+    return Camera(
+        width_px=keys["width_px"],
+        height_px=keys["height_px"],
+        fx_px=K[0, 0],
+        fy_px=K[1, 1],
+        cx_px=K[0, 2],
+        cy_px=K[1, 2],
+        skew_px=K[0, 1],
+        lens=None
+        if lens == "none"
+        else Lens(lens, tuple(keys["distortion"]), float(np.deg2rad(keys.get("max_angle_deg", 180.0)))),
+    )
 
 
 class Circle(NamedTuple):
