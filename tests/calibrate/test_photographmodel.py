@@ -63,12 +63,16 @@ def test_each_parameter_is_recovered_within_its_standard_error(seed):
     assert corner == pytest.approx(1 - CORNER_LOSS, abs=4 * model.standard_error["vignetting_r2"])
 
 
-def test_the_tilt_of_a_sensor_is_recovered_within_its_standard_error():
-    model = measured(3, moffat_beta=3.0, dn_per_e=0.5, gradient_dn=25.0, tilt=0.25)
+@pytest.mark.parametrize("tilt", [0.25, 0.7])
+def test_the_tilt_of_a_sensor_is_recovered_within_its_standard_error(tilt):
+    # Before the larger tilt is fitted, the widths of the stars look like the widest wings of a Moffat profile.
+    model = measured(3, moffat_beta=3.0, dn_per_e=0.5, gradient_dn=25.0, tilt=tilt)
     psf, error = model.joint.psf, model.standard_error
-    assert psf.psf_tilt == pytest.approx(0.25, rel=0, abs=3 * error["psf_tilt"])
+    assert psf.psf_tilt == pytest.approx(tilt, rel=0, abs=3 * error["psf_tilt"])
     assert error["psf_tilt"] < 0.05
     assert np.rad2deg(psf.psf_tilt_angle_rad) == pytest.approx(0, abs=3 * error["psf_tilt_angle_deg"])
+    assert psf.psf == "moffat"
+    assert psf.psf_beta == pytest.approx(3.0, rel=0, abs=3 * error["psf_beta"])
 
 
 def test_stars_have_the_brightness_of_the_photograph_as_far_as_its_noise_allows():

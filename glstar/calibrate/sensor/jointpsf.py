@@ -159,12 +159,13 @@ _GAUSSIAN_BETA = 15.0
 _BETA = (2.05, 19.0)
 _MOST_ELLIPTICAL = 0.39
 _LARGEST_GROWTH = 3.0
-_LARGEST_TILT = 0.6
+# As large as `psf_tilt` may be: a smaller range would leave out tilts that the stars determine.
+_LARGEST_TILT = 0.9
 _LARGEST_COLOUR_GROWTH = 0.5
 _LARGEST_WING = 0.8
-# Parameters that are tried together, and where they start: first the better of the first two, then the others in turn.
-_GROUPS = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("tilt_x", "tilt_y"), ("colour",), ("e1", "e2"))
-_ROUND_GROUPS = 5
+# Parameters that are tried together, and where they start: first the better of two profiles, then the others in turn.
+_PROFILES: tuple[tuple[str, ...], ...] = (("beta",), ("wing", "ln_wing_px"))
+_GROUPS = (*_PROFILES, ("growth",), ("tilt_x", "tilt_y"), ("colour",), ("e1", "e2"))
 _STARTS = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
 
 
@@ -191,11 +192,11 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
     """
     names: tuple[str, ...] = ("sigma",)
     fitted, stamps, cost = _fitted(stamps, names, _Shape(start_sigma_px))
-    untried, refused = list(_GROUPS), []
+    untried, refused, deferred = list(_GROUPS), [], False
     while untried:
         # Of the shapes with a further group of parameters, the one that explains most.
         trials = []
-        for group in untried[: 2 if len(untried) > _ROUND_GROUPS else 1]:
+        for group in untried[: 2 if untried[: len(_PROFILES)] == list(_PROFILES) else 1]:
             start = fitted.started(group)
             trials.append((*_fitted(stamps, (*names, *group), start), group))
         trial, moved, trial_cost, group = min(trials, key=lambda one: one[2] / (1 - 1e-3 * len(one[3])))
@@ -205,7 +206,10 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
         if cost - trial_cost <= _BETTER * unit * len(group):
             continue
         unclear = _unclear(moved, (*names, *group), trial, _covariance(moved, (*names, *group), trial))
-        if group in unclear:
+        if group in unclear and group in _PROFILES and len(names) == 1 and not deferred:
+            # Widths that differ over the image look like wings of the mean star: they are fitted first.
+            deferred, untried = True, [*(one for one in untried if one not in _PROFILES), *_PROFILES]
+        elif group in unclear:
             refused.append(unclear[group])
         else:
             names, fitted, stamps, cost = (*names, *group), trial, moved, trial_cost
@@ -263,7 +267,7 @@ class _Shape:
         if self.fixed is not None:
             return self.fixed
         ellipticity = min(float(np.hypot(self.e1, self.e2)), _MOST_ELLIPTICAL)
-        tilt = float(np.hypot(self.tilt_x, self.tilt_y))
+        tilt = min(float(np.hypot(self.tilt_x, self.tilt_y)), _LARGEST_TILT)
         return PointSpread(
             psf="moffat" if self.beta < _GAUSSIAN_BETA else "gaussian",
             psf_beta=float(np.clip(self.beta, *_BETA)) if self.beta < _GAUSSIAN_BETA else 3.0,
@@ -353,6 +357,7 @@ def _unclear(
     vector, errors = shape.vector(names), _errors(names, shape, covariance)
     unclear: dict[tuple[str, ...], str] = {}
     at_end = np.minimum(vector - low, high - vector) < _AT_END * (high - low)
+    at_end |= np.char.startswith(names, "tilt") & (shape.psf.psf_tilt > (1 - _AT_END) * _LARGEST_TILT)
     for group in filter(lambda one: one[0] in names, _GROUPS):
         key, size = _SIZES[group]
         value, error, null = size(shape), errors[key], "0"
