@@ -15,6 +15,7 @@ from glstar.camera.mounts import MOUNTS
 from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_presets
 from glstar.cli.reporting import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
+from glstar.config.keys import KEY_FLAGS
 from glstar.config.flight import SYNTHETIC
 from glstar.config.section import is_file_name
 from glstar.errors import CatalogueError, ConfigError
@@ -258,11 +259,10 @@ class FlightFlags:
 
     def by_key(self) -> dict[str, str]:
         """Return the flags that set a value, by dotted key of the config."""
-        of_lens = {"camera.lens_mm": "--lens-mm", "camera.f_number": "--f-number", "sensor.analogue_gain": "--gain"}
         settings = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
         given = self.given()
         return {
-            **{key: of_lens.get(key, "--camera") for key, value in settings.items() if value is not None},
+            **{key: KEY_FLAGS.get(key, "--camera") for key, value in settings.items() if value is not None},
             **{f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in given},
             **({} if self.mount is None else {"mount.preset": "--mount"}),
         }
