@@ -15,8 +15,8 @@ from glstar.camera.mounts import MOUNTS
 from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_presets
 from glstar.cli.reporting import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
-from glstar.config.keys import KEY_FLAGS
 from glstar.config.flight import SYNTHETIC
+from glstar.config.keys import KEY_FLAGS
 from glstar.config.section import is_file_name
 from glstar.errors import CatalogueError, ConfigError
 from glstar.flight import Interpolation
