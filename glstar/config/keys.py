@@ -72,6 +72,8 @@ SOURCES = ("file", "camera", "preset", "lens_mm", "f_number")
 # Flags of the command line that change frames, by the dotted key that they set.
 KEY_FLAGS = MappingProxyType(
     {
+        "exposure.duration_s": "--exposure",
+        "exposure.interval_s": "--every",
         "exposure.at": "--at",
         "camera.preset": "--camera",
         "camera.file": "--camera",

@@ -96,6 +96,7 @@ def export(
     publishing.in_one_process(workers, dask, draws=not (verify or dry_run))
     exposures = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**exposures, **{"navigator.attitude": navigator})
+    _note_swept(settings)
     part = _part_of(shard, force=force)
     known = options.NavigatorFiles(settings, output.directory, blind, flights_of(settings, flights))
     exif, start = known.allows(exif=exif), known.start_s(start)
@@ -114,6 +115,14 @@ def export(
         report, took_s = _draw(job, output, part, workers, dask, passed_on, force=force)
         tables = _finish(job, output, known, summaries, video, video_fps) if report.complete else ()
         _report(job, report, took_s, video, tables, as_json=as_json)
+
+
+def _note_swept(settings: "Config") -> None:
+    """Note each flag that has no effect because the sweep varies what it sets."""
+    from glstar.config.keys import KEY_FLAGS  # noqa: PLC0415 - only for this command
+
+    for key in settings.overridden.keys() & {axis.key for axis in settings.sweep.axes}:
+        echo_note(f"glstar: {KEY_FLAGS.get(key, key)} has no effect, because [sweep] varies {key}")
 
 
 def _import_libraries() -> None:

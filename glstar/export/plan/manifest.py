@@ -303,9 +303,14 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
     arguments += [] if config.synthetic.description else map(_flight_name, flight_paths)
     if config.file is not None:
         arguments += ["--config", config.file.name]
-    arguments += ["--exposure", config.exposure.duration_s]
-    arguments += [] if config.exposure.at else ["--every", config.exposure.interval_s]
-    for key, value in config.overridden.items():
+    exposure = config.exposure
+    values = {"exposure.duration_s": exposure.duration_s, "exposure.interval_s": exposure.interval_s}
+    values |= config.overridden
+    if exposure.at:
+        del values["exposure.interval_s"]
+    for axis in config.sweep.axes:
+        values.pop(axis.key, None)
+    for key, value in values.items():
         is_file = key in {*PATHS, *PRESETS} and Path(str(value)).is_absolute()
         arguments += [KEY_FLAGS[key], Path(str(value)).name if is_file else value] if key in KEY_FLAGS else []
     for flag, value in (("--start", options.start_s), ("--stop", options.stop_s), ("--frames", options.frames)):
