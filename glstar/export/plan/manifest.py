@@ -304,7 +304,7 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
     if config.file is not None:
         arguments += ["--config", config.file.name]
     exposure = config.exposure
-    values = {"exposure.duration_s": exposure.duration_s, "exposure.interval_s": exposure.interval_s}
+    values: dict[str, Any] = {"exposure.duration_s": exposure.duration_s, "exposure.interval_s": exposure.interval_s}
     values |= config.overridden
     if exposure.at:
         del values["exposure.interval_s"]
@@ -313,8 +313,9 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
     for key, value in values.items():
         is_file = key in {*PATHS, *PRESETS} and Path(str(value)).is_absolute()
         arguments += [KEY_FLAGS[key], Path(str(value)).name if is_file else value] if key in KEY_FLAGS else []
-    for flag, value in (("--start", options.start_s), ("--stop", options.stop_s), ("--frames", options.frames)):
-        arguments += [] if value is None else [flag, value]
+    extent = {"--start": options.start_s, "--stop": options.stop_s, "--frames": options.frames}
+    for flag, limit in extent.items():
+        arguments += [] if limit is None else [flag, limit]
     arguments += ["--format", options.image_format, "--seed", options.seed]
     arguments += ["--light"] if options.noiseless else []
     arguments += ["--masks"] if options.masks else []
