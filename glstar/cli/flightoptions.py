@@ -215,6 +215,12 @@ def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]
     return [Path(described)]
 
 
+def note_swept(settings: Config) -> None:
+    """Note each flag that has no effect because the sweep varies what it sets."""
+    for key in settings.overridden.keys() & {axis.key for axis in settings.sweep.axes}:
+        echo_note(f"glstar: {KEY_FLAGS.get(key, key)} has no effect, because [sweep] varies {key}")
+
+
 @dataclass(frozen=True, slots=True)
 class FlightFlags:
     """The flags of a command that control how a log is read."""

@@ -483,8 +483,8 @@ class Selection:
     def times_in_image_s(self, simulator: Simulator, scene: Scene) -> Float | None:
         """Return the sampled times at which the selected object is on the image, (n,) UTC seconds since 1970.
 
-        `simulator`: of the aircraft's camera; a quarter of a second apart, more on a flight longer than a quarter of an
-        hour.  Returns None if nothing is selected.
+        `simulator`: of the aircraft's camera; every quarter of a second, less often on a flight of more than 15
+        minutes.  Returns None if nothing is selected.
         """
         direction_eq = self.direction_eq(simulator, scene)
         if direction_eq is None:

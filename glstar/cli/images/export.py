@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from glstar.camera.mounts import mount_label
-from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
+from glstar.cli.flightoptions import FlightFlags, Format, flights_of, note_swept, with_flight_flags
 from glstar.cli.images import exportoptions as options
 from glstar.cli.reporting import echo_detail, echo_note, progress_bar, with_verbosity
 from glstar.flight import DATA_GAP
@@ -96,7 +96,6 @@ def export(
     publishing.in_one_process(workers, dask, draws=not (verify or dry_run))
     exposures = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**exposures, **{"navigator.attitude": navigator})
-    _note_swept(settings)
     part = _part_of(shard, force=force)
     known = options.NavigatorFiles(settings, output.directory, blind, flights_of(settings, flights))
     exif, start = known.allows(exif=exif), known.start_s(start)
@@ -115,14 +114,6 @@ def export(
         report, took_s = _draw(job, output, part, workers, dask, passed_on, force=force)
         tables = _finish(job, output, known, summaries, video, video_fps) if report.complete else ()
         _report(job, report, took_s, video, tables, as_json=as_json)
-
-
-def _note_swept(settings: "Config") -> None:
-    """Note each flag that has no effect because the sweep varies what it sets."""
-    from glstar.config.keys import KEY_FLAGS  # noqa: PLC0415 - only for this command
-
-    for key in settings.overridden.keys() & {axis.key for axis in settings.sweep.axes}:
-        echo_note(f"glstar: {KEY_FLAGS.get(key, key)} has no effect, because [sweep] varies {key}")
 
 
 def _import_libraries() -> None:
@@ -157,6 +148,7 @@ def _prepare(
     from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV
 
     if len(paths) > 1 or settings.sweep:
+        note_swept(settings)
         job = prepare_data_set(settings, paths, output, wanted, strict=strict)
         for log in job.omitted_logs:
             typer.echo(f"glstar: left out: {log.path}: {' '.join(log.reason.split())}", err=True)
@@ -186,9 +178,8 @@ def _refuse_contradictions(
     if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
     if verify and writes_more:
-        raise typer.BadParameter(
-            "only compares; leave out --dask, --dry-run, --force and --video", param_hint="--verify"
-        )
+        advice = "only compares; leave out --dask, --dry-run, --force and --video"
+        raise typer.BadParameter(advice, param_hint="--verify")
 
 
 def _default_workers(frames: int, part: "Shard") -> int:

@@ -1,4 +1,4 @@
-"""A free camera at the aircraft: it looks where the user turns it, with any field of view from 2 to 180 deg.
+"""A free camera at the aircraft: it points where the user turns it, with any field of view from 2 to 180 deg.
 
 Its projection is stereographic, as that of star charts: a pinhole's near the axis, and without limit beyond 90 deg.
 """
@@ -45,7 +45,7 @@ class LookAround:
 
     @property
     def label(self) -> str:
-        """Where it looks, in one line."""
+        """Where it points, in one line."""
         return (
             f"looking around: az {degrees(self.azimuth_rad) % 360:.1f}°, alt {degrees(self.altitude_rad):.1f}°,"
             f" {degrees(self.field_rad):.3g}° wide"

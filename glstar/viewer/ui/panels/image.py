@@ -299,7 +299,7 @@ def _look_text(session: Session) -> str:
 
 
 def _draw_look(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
-    """Write where the free camera looks, and draw the border of the aircraft's own image."""
+    """Write where the free camera points, and draw the border of the aircraft's own image."""
     scene, loaded = session.scene, session.loaded
     if scene is None or loaded is None:
         return
