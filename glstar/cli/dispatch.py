@@ -12,7 +12,7 @@ from glstar.cli.commands import COMMANDS, OLD_COMMANDS
 from glstar.cli.concepts import BY_FLAG, PANELS, REPORT, Concept, old_flags
 from glstar.errors import GlstarError
 from glstar.system.process import exit_status
-from glstar.system.userinput import did_you_mean
+from glstar.system.userinput import did_you_mean, nearest_word
 
 # Key of the arguments of the command line, for the options that are processed before the others.
 WORDS: Final = "glstar.words"
@@ -25,7 +25,7 @@ def normalised(words: Collection[str]) -> list[str]:
     """Return the words of a command line with the help flag last, and commands under their present names.
 
     ``glstar help export`` and ``glstar --help export`` become ``glstar export --help``; ``glstar help mounts``, a page
-    of the manual, becomes ``glstar manual mounts``, and ``glstar bench`` becomes ``glstar doctor bench``.
+    of the manual, becomes ``glstar manual mounts``.
     """
     words = list(words)
     at = next((k for k, word in enumerate(words) if not word.startswith("-")), None)
@@ -40,8 +40,18 @@ def normalised(words: Collection[str]) -> list[str]:
         return [*before, "--help"]
     if asks and named[0] not in COMMANDS and named[0] not in OLD_COMMANDS:
         return [*before, "manual", *(word for word in named if word not in _HELP)]
-    named = [*OLD_COMMANDS.get(named[0], named[0]).split(), *named[1:]]
+    named = [*(_present_name(named) or named[0]).split(), *named[1:]]
     return [*before, *named, *(("--help",) if asks and named[-1] not in _HELP else ())]
+
+
+def _present_name(named: list[str]) -> str | None:
+    """Return the present name of a command that is given by an old one; None for a present name.
+
+    ``glstar bench`` had options, and measured the machine; now it is a group, which has none.
+    """
+    if named[0] == "bench" and named[1:2] and named[1].startswith("-") and named[1] not in _HELP:
+        return "doctor bench"
+    return OLD_COMMANDS.get(named[0])
 
 
 def chosen(words: Collection[str]) -> str | None:
@@ -52,9 +62,10 @@ def chosen(words: Collection[str]) -> str | None:
 
 def note_old_names(words: Collection[str]) -> None:
     """Note that the command of a command line has another name now."""
-    old = next((word for word in words if not word.startswith("-")), "")
-    if old in OLD_COMMANDS:
-        _note(words, f"glstar {old} is called glstar {OLD_COMMANDS[old]} now; the old name goes with the next release")
+    words = list(words)
+    at = next((k for k, word in enumerate(words) if not word.startswith("-")), None)
+    if at is not None and (present := _present_name(words[at:])) is not None:
+        _note(words, f"glstar {words[at]} is called glstar {present} now; the old name goes with the next release")
 
 
 def _note(words: Collection[str], text: str) -> None:
@@ -87,6 +98,11 @@ class Program(TyperGroup):
         name = " ".join(args[:2])
         if len(args) > 1 and name in self.commands:
             return name, self.commands[name], args[2:]
+        inner = inner_words(args[0])
+        # A link, or a value of an option, is no misspelt command.
+        near = nearest_word(args[1], inner) if len(args) > 1 and args[1] not in inner else ""
+        if near and not ctx.resilient_parsing:
+            ctx.fail(f"No such command {name!r}. Did you mean '{args[0]} {near}'?")
         return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -127,6 +143,14 @@ class Command(TyperCommand):
             if concept is not None:
                 _show(parameter, concept, ctx)
         return sorted(parameters, key=_place)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Return what a shell offers for a word: the commands inside this one, and options."""
+        items: list[Any] = super().shell_complete(ctx, incomplete)
+        words = [word for word in inner_words(self._name_of(ctx)) if word.startswith(incomplete)]
+        # The class of items is private to typer.
+        kind = type(super().shell_complete(ctx, "--help")[0])
+        return [*map(kind, words), *items]
 
     def _name_of(self, ctx: Any) -> str:
         """Return the name of the command without that of the program: ``camera show``."""
@@ -193,6 +217,11 @@ def _choices(parameter: Any, ctx: Any) -> str:
 def inner_commands(name: str) -> list[str]:
     """Return the commands inside another: ``live answer`` and ``live replay`` of ``live``."""
     return [other for other in COMMANDS if other.startswith(f"{name} ")]
+
+
+def inner_words(name: str) -> list[str]:
+    """Return the second words of the commands inside another: ``replay`` and ``answer`` of ``live``."""
+    return [other.removeprefix(f"{name} ") for other in inner_commands(name)]
 
 
 def epilog_of(name: str) -> str | None:

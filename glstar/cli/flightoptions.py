@@ -16,6 +16,7 @@ from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_presets
 from glstar.cli.reporting import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flight import SYNTHETIC
+from glstar.config.keys import KEY_FLAGS
 from glstar.config.section import is_file_name
 from glstar.errors import CatalogueError, ConfigError
 from glstar.flight import Interpolation
@@ -214,6 +215,12 @@ def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]
     return [Path(described)]
 
 
+def note_swept(settings: Config) -> None:
+    """Note each flag that has no effect because the sweep varies what it sets."""
+    for key in settings.overridden.keys() & {axis.key for axis in settings.sweep.axes}:
+        echo_note(f"glstar: {KEY_FLAGS.get(key, key)} has no effect, because [sweep] varies {key}")
+
+
 @dataclass(frozen=True, slots=True)
 class FlightFlags:
     """The flags of a command that control how a log is read."""
@@ -258,11 +265,10 @@ class FlightFlags:
 
     def by_key(self) -> dict[str, str]:
         """Return the flags that set a value, by dotted key of the config."""
-        of_lens = {"camera.lens_mm": "--lens-mm", "camera.f_number": "--f-number", "sensor.analogue_gain": "--gain"}
         settings = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
         given = self.given()
         return {
-            **{key: of_lens.get(key, "--camera") for key, value in settings.items() if value is not None},
+            **{key: KEY_FLAGS.get(key, "--camera") for key, value in settings.items() if value is not None},
             **{f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in given},
             **({} if self.mount is None else {"mount.preset": "--mount"}),
         }

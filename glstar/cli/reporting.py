@@ -58,6 +58,12 @@ def echo_detail(message: str) -> None:
         typer.echo(message, err=True)
 
 
+def require_plot_suffix(plot: Path | None) -> None:
+    """Raise typer.BadParameter if the file of ``--plot`` is not named as a format of plots."""
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{plot} must end with .png, .svg or .pdf", param_hint="--plot")
+
+
 @contextmanager
 def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
     """Set the verbosity for the time of a command; raises typer.BadParameter if both flags are given."""

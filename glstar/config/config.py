@@ -95,6 +95,8 @@ class Config:
     _effects: reading.Tables = field(default_factory=lambda: effect_values(lambda model, _: model()), hash=False)
     # The values of the file and of flags: `override` checks them again, and `resolved` reports their sources.
     _tables: reading.Tables = field(default_factory=dict, compare=False, repr=False)
+    # The values that `override` has set, by dotted key: see `overridden`.
+    _overridden: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
@@ -192,7 +194,8 @@ class Config:
                 every = [f"{name}.{known}" for name, model in SECTIONS.items() for known in model.model_fields]
                 sections = f" (the sections are {', '.join(SECTIONS)})"
                 faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
-        return replace(self._made(tables, faults, self.file, source=None), sweep=self.sweep)
+        made = self._made(tables, faults, self.file, source=None)
+        return replace(made, sweep=self.sweep, _overridden={**self._overridden, **given})
 
     def without(self, *keys: str) -> Self:
         """Return the config with some keys reset to their defaults.
@@ -215,7 +218,7 @@ class Config:
             section: {key: value for key, value in values.items() if f"{section}.{key}" not in keys}
             for section, values in self._tables.items()
         }
-        return replace(self._made(tables, [], self.file, source=None), sweep=self.sweep)
+        return replace(self._made(tables, [], self.file, source=None), sweep=self.sweep, _overridden=self._overridden)
 
     def for_a_table(self, *, time_offset_s: float) -> Self:
         """Return the config for a log with UTC and positions: only two keys of ``[flight]`` keep their values.
@@ -412,6 +415,16 @@ class Config:
     def given(self) -> reading.Tables:
         """The values of the file and of flags, by section and key."""
         return self._tables
+
+    @property
+    def overridden(self) -> dict[str, Any]:
+        """The values in effect that flags or `override` have set, not the file, by dotted key; paths are absolute."""
+        values = ((dotted, split_key(dotted), value) for dotted, value in self._overridden.items())
+        return {
+            dotted: value
+            for dotted, (section, key), value in values
+            if key in self._tables.get(section, {}) and self._tables[section][key] == value
+        }
 
     def to_toml(self) -> str:
         """Return the config as a self-contained TOML file, which loads to an equal config from any folder.

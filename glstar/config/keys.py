@@ -9,7 +9,15 @@ from typing import Any, Literal, get_args, get_origin
 import tomli_w
 
 from glstar.config.camera import CameraSection, ExposureSection
-from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, MountSection, NavigatorSection, SyntheticSection
+from glstar.config.flight import (
+    FLIGHT_FLAGS,
+    SYNTHETIC,
+    AirSection,
+    FlightSection,
+    MountSection,
+    NavigatorSection,
+    SyntheticSection,
+)
 from glstar.config.section import Section, with_effect_keys
 from glstar.config.sensor import SENSOR_MAPS, SensorSection
 from glstar.config.sky import CATALOGUES, HORIZONS, SkySection
@@ -60,6 +68,23 @@ PATHS = (
 PRESETS = ("camera.preset", "sensor.preset")
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset", "lens_mm", "f_number")
+
+# Flags of the command line that change frames, by the dotted key that they set.
+KEY_FLAGS = MappingProxyType(
+    {
+        "exposure.duration_s": "--exposure",
+        "exposure.interval_s": "--every",
+        "exposure.at": "--at",
+        "camera.preset": "--camera",
+        "camera.file": "--camera",
+        "camera.lens_mm": "--lens-mm",
+        "camera.f_number": "--f-number",
+        "sensor.analogue_gain": "--gain",
+        "mount.preset": "--mount",
+        "navigator.attitude": "--navigator",
+        **{f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items()},
+    }
+)
 
 # A validation error: a dotted key and the message.
 Fault = tuple[str, str]

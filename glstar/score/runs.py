@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from glstar import __version__
 from glstar.errors import AnswersError, ExportError, GlstarError
@@ -21,6 +21,13 @@ from glstar.system.files import write_atomically
 SCHEMA = "glstar-bench-1"
 RESULT_FILE = "result.json"
 _PARTS = "part"
+# Keys of a result that tables read.
+_KEYS: Final[Mapping[str, set[str]]] = {
+    "solver": {"name", "version"},
+    "set": {"set", "size", "pixels_sha256"},
+    "summary": {"frames", "solved", "refused", "false", "boresight_arcsec", "roll_arcsec", "position_km", "run_time_s"},
+    "by": set(),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +143,13 @@ def read_result(path: Path) -> dict[str, Any]:
     file = path / RESULT_FILE if path.is_dir() else path
     try:
         result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        schema = result["schema"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise GlstarError(f"{file} is no result of glstar bench run ({error})") from None
-    if schema != SCHEMA:
-        raise GlstarError(f"{file} is no result of glstar bench run, but of schema {schema}")
+        is_known = result["schema"] == SCHEMA
+        is_complete = all(keys <= result[part].keys() for part, keys in _KEYS.items())
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise GlstarError(f"{file} is no result of glstar bench run ({reason})") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        is_known = is_complete = False
+    if not is_known or not is_complete:
+        raise GlstarError(f"{file} is no result of glstar bench run, or of another version")
     return result

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -149,13 +150,22 @@ class MadeSet:
         path = directory / SET_FILE
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
-            parts = {name: PartSums(**sums) for name, sums in found["parts"].items()}
+            parts = {_part_name(name): PartSums(**sums) for name, sums in found["parts"].items()}
             named = (found["set"], found["size"], found["version"], found["driver"], found["glstar"])
         except FileNotFoundError:
             raise ExportError(directory, f"holds no {SET_FILE}: make a set with glstar bench make") from None
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise ExportError(path, f"is no set of glstar bench make ({error})") from None
+        except OSError as error:
+            raise ExportError(path, f"cannot be read ({error.strerror})") from None
+        except (ValueError, TypeError, KeyError, AttributeError):
+            raise ExportError(path, "is not as glstar bench make writes it; make the set again") from None
         return cls(directory, *named, parts)
+
+
+def _part_name(name: str) -> str:
+    """Return the name of a part; raises ValueError for a path, because files are written and removed by this name."""
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        raise ValueError(name)
+    return name
 
 
 def make_set(
@@ -205,8 +215,18 @@ def _prepared(part: Part, seed: int, directory: Path) -> tuple[Export, Config, P
 
 
 def _refuse_another(made: Recipe, size: str, directory: Path) -> None:
-    """Refuse a directory with another set, or another size or version of it."""
+    """Refuse a directory with another set, or another size or version of it, also if it is not complete."""
     if not (directory / SET_FILE).exists():
+        known = {f"{part.name}.toml": part.toml.encode() for part in made.parts(size)}
+        others = [
+            path.stem for path in (directory / RECIPES).glob("*.toml") if known.get(path.name) != path.read_bytes()
+        ]
+        if others:
+            raise ExportError(
+                directory,
+                f"holds parts of another set, size or version, which is not complete ({', '.join(sorted(others))});"
+                " choose another directory, or remove this one",
+            )
         return
     there = MadeSet.read(directory)
     if (there.name, there.size, there.version) != (made.name, size, made.version):

@@ -14,8 +14,10 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.cli.commands import COMMANDS, OLD_COMMANDS
 from glstar.cli.concepts import CONCEPTS, PANELS
+from glstar.cli.dispatch import normalised
 from glstar.config import Config
 from glstar.telemetry.synthetic import KEYS
+from tests.support.exports import CAMERA
 
 
 def invoke(*words: object, columns: int = 80) -> SimpleNamespace:
@@ -42,11 +44,11 @@ def plain(text: str) -> str:
     return " ".join(re.sub("[│╭╮╰╯─]", " ", text).split())
 
 
-def test_twelve_commands_are_listed_and_those_inside_them_are_named() -> None:
+def test_thirteen_commands_are_listed_and_those_inside_them_are_named() -> None:
     listed = re.findall(r"^│ (\w+) +[A-Z]", own_process("--help").stdout, re.MULTILINE)
 
     assert listed == [name for name, entry in COMMANDS.items() if entry.panel]
-    assert len(listed) == 12
+    assert len(listed) == 13
     assert "Also: live replay, live answer." in plain(own_process("--help").stdout)
 
 
@@ -226,3 +228,60 @@ def test_the_preset_of_a_camera_means_the_same_in_a_file_and_on_the_command_line
     assert json.loads(json.dumps(in_file.resolved()))["exposure"] == keys["exposure"]
     assert json.loads(json.dumps(in_file.resolved()))["lens"] == keys["lens"]
     assert keys["sensor"]["noise"] == "electrons"
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [("live repaly demo", "live replay"), ("sky catalog", "sky catalogue"), ("doctor bnech --json", "doctor bench")],
+)
+def test_a_misspelt_inner_command_is_suggested(words, meant):
+    refused = invoke(*words.split())
+
+    assert refused.rc == 2
+    assert f"Did you mean '{meant}'?" in refused.err
+
+
+def test_the_bench_of_older_releases_measures_the_machine():
+    assert normalised(["-q", "bench", "--seconds", "1"]) == ["-q", "doctor", "bench", "--seconds", "1"]
+    assert normalised(["bench", "--help"]) == ["bench", "--help"]
+    assert normalised(["bench", "make", "static"]) == ["bench", "make", "static"]
+
+    refused = invoke("bench", "--seconds", "0")
+
+    assert refused.rc == 2
+    assert "glstar bench is called glstar doctor bench now" in refused.err
+
+
+def test_frames_of_a_link_have_the_output_of_every_command(tmp_path):
+    for flag in ("-o", "--output", "--export"):
+        refused = invoke("live", "udpin:127.0.0.1:1", flag, tmp_path, "--headless", columns=160)
+
+        assert refused.rc == 2
+        assert "--foxglove open no window" in plain(refused.err)
+
+
+def test_a_flag_that_the_sweep_overrides_is_noted(tmp_path):
+    config = tmp_path / "set.toml"
+    config.write_text(CAMERA + '[sweep]\nmount.preset = ["nose", "zenith"]\n', encoding="utf-8")
+    words = ("export", "-c", config, "--frames", 1, "--mount", "down", "--dry-run", "-o", tmp_path / "set")
+
+    assert "--mount has no effect, because [sweep] varies mount.preset" in invoke(*words).err
+    assert "no effect" not in invoke(*words, "--quiet").err
+
+
+def test_the_table_of_a_flight_is_replaced_on_request_but_never_the_flight_itself(tmp_path):
+    table = tmp_path / "flight.csv"
+    table.write_text("an older table")
+    words = ("convert", "fly:hover?duration_s=1", "-o", table, "--force")
+
+    assert invoke(*words).rc == 0
+    written = table.read_bytes()
+    assert written.startswith(b"utc")
+    refused = invoke("convert", table, "-o", table, "--force")
+    assert (refused.rc, "flight.csv is the flight itself" in refused.err, table.read_bytes() == written) == (
+        1,
+        True,
+        True,
+    )
+    of_a_set = invoke("convert", tmp_path, "-o", tmp_path / "set.csv", "--force")
+    assert (of_a_set.rc, "replaces the table of a flight only" in " ".join(of_a_set.err.split())) == (2, True)

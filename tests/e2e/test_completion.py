@@ -27,6 +27,10 @@ def completed(*words: str) -> list[str]:
         (("glstar", "manual", ""), set(manual_pages())),
         (("glstar", "camera", "presets", "imx4"), {"imx477", "imx462"}),
         (("glstar", "export", "--columns", "air"), {"airdata"}),
+        (("glstar", "live", "re"), {"replay"}),
+        (("glstar", "live", ""), {"replay", "answer"}),
+        (("glstar", "sky", "cat"), {"catalogue"}),
+        (("glstar", "doctor", ""), {"bench"}),
         (("glstar", "view", "--camera", "picam"), {name for name in camera_presets() if name.startswith("picam")}),
     ],
 )

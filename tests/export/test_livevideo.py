@@ -24,7 +24,7 @@ from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError, ExportError
 from glstar.export.publish.outputs import FrameOutputs
-from glstar.export.publish.videostream import RtpAddress, VideoStream
+from glstar.export.publish.videostream import RtpAddress, VideoStream, check_video
 from glstar.sky.place.timescale import format_utc
 from tests.support.autopilot import SMALL, UTC_S, simulated
 from tests.support.links import free_port, interrupted_when, until
@@ -193,6 +193,15 @@ def test_bad_names_are_one_clear_line(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(ConfigError, match=r"needs PyAV: .*\[film\]"):
         video("rtp://5600")
+
+
+def test_a_host_that_nobody_knows_is_refused_before_the_link_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(ConfigError, match=r"^rtp://gcs:5600: the host gcs is not known \(Name or service not known\)$"):
+        check_video("rtp://gcs:5600")
 
 
 @pytest.mark.parametrize(

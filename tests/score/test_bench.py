@@ -280,6 +280,50 @@ def test_what_is_no_set_no_solver_and_no_result_gets_one_clear_line(tiny, tmp_pa
     assert [one.exit_code for one in (no_set, no_solver, no_result, no_size)] == [1, 1, 1, 1]
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["{}", "[1]", "\xff", '{"parts": {"a": {}}}', '{"parts": {"../frames": {"frames": 1}}}'],
+    ids=["empty", "a list", "not text", "no sums", "a path"],
+)
+def test_a_damaged_set_is_refused_before_a_solver_starts(text, tiny, tmp_path):
+    found = json.loads((tiny.directory / "set.json").read_text())
+    if text.startswith('{"parts": {"../'):
+        text = json.dumps(found | {"parts": {"../frames": found["parts"]["dark"]}})
+    (tiny.directory / "set.json").write_bytes(text.encode("latin-1"))
+
+    done = invoked("run", "true", tiny.directory, "-o", tmp_path / "out")
+
+    assert (done.exit_code, (tmp_path / "out").exists()) == (1, False)
+    assert (
+        done.stderr == f"glstar: {tiny.directory}/set.json: is not as glstar bench make writes it; make the set again\n"
+    )
+
+
+def test_an_incomplete_set_is_not_mixed_with_another(renderer, tiny):
+    (tiny.directory / "set.json").unlink()  # as if it were killed before its end
+    with pytest.raises(ExportError, match=r"another set, size or version, which is not complete \(bright\); choose"):
+        made(renderer, tiny.directory, "full")
+    assert not (tiny.directory / "set.json").exists()
+    assert made(renderer, tiny.directory) == tiny
+
+
+def test_a_plot_a_result_a_command_or_a_directory_that_cannot_be_gets_one_line(tiny, tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "other.json").write_text('{"schema": "glstar-bench-1"}')
+    no_plot = invoked("table", tmp_path / "other.json", "--plot", "board.txt")
+    no_command = invoked("run", "'unclosed", tiny.directory, "-o", tmp_path / "out")
+    no_folder = invoked("run", "true", tiny.directory, "-o", tmp_path / "file")
+    nowhere = invoked("make", "static", "-o", tmp_path / "file")
+    of_another = invoked("table", tmp_path / "other.json")
+
+    assert [one.exit_code for one in (no_plot, no_command, no_folder, nowhere, of_another)] == [2, 2, 1, 1, 1]
+    assert "board.txt must end with .png, .svg or .pdf" in no_plot.stderr
+    assert "no closing quotation" in no_command.stderr
+    for one in (no_folder, nowhere):
+        assert f"{tmp_path}/file: is no directory (" in one.stderr or f"{tmp_path}/file/recipes: is no" in one.stderr
+    assert of_another.stderr.endswith("is no result of glstar bench run, or of another version\n")
+
+
 def test_results_on_other_pixels_are_not_compared(tiny, tmp_path):
     invoked("run", solver(tmp_path, CHEAT.replace("{EDIT}", "pass")), tiny.directory, "-o", tmp_path / "one")
     shutil.copytree(tmp_path / "one", tmp_path / "two")

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
-from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
+from glstar.cli.dispatch import inner_words
+from glstar.cli.flightoptions import FlightFlags, Format, completion, with_flight_flags
 from glstar.cli.flights import windowoptions
 from glstar.cli.flights.linkoptions import CameraOptions, Injection, InjectionOptions, with_link_options
 from glstar.cli.flights.liveoutputs import LiveOutputs, with_live_outputs
@@ -36,10 +37,18 @@ LinkName = Annotated[
         help="Where the vehicle is: /dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550,"
         " tcp:HOST:5760.",
         show_default="a list of the serial ports",
+        autocompletion=completion(lambda: inner_words("live")),
     ),
 ]
 ExportTo = Annotated[
-    Path | None, typer.Option(help="A new directory for frames and truth, written as they happen.", show_default=False)
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        "--export",
+        help="A new directory for frames and truth, written as they happen.",
+        show_default=False,
+    ),
 ]
 Record = Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)]
 ExposureLength = Annotated[

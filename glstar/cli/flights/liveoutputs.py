@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 Video = Annotated[
     str | None,
     typer.Option(
-        metavar="rtp://HOST:PORT|FILE.ts",
-        help="Send the frames as H.264 video: by RTP, as ground stations receive it on port 5600, or into a new MPEG"
-        " transport stream.",
+        help="Send the frames as H.264 video: to rtp://HOST:PORT, as ground stations receive it on port 5600, or into"
+        " a new MPEG transport stream, NAME.ts.",
         show_default=False,
     ),
 ]
@@ -36,9 +35,8 @@ Sdp = Annotated[
 Foxglove = Annotated[
     str | None,
     typer.Option(
-        metavar="PORT|HOST:PORT",
-        help="Show the frames in the Foxglove app, with their truth drawn over them: a WebSocket server, for this"
-        " computer unless HOST names another address; 8765 is the port that Foxglove expects.",
+        help="Show the frames in the Foxglove app, with their truth drawn over them: a WebSocket server on this port,"
+        " for this computer, or on HOST:PORT for others; 8765 is the port that Foxglove expects.",
         show_default=False,
     ),
 ]

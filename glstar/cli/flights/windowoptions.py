@@ -64,7 +64,7 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
     names = {name.strip().lower() for name in text.split(",")} - {"", "nothing"}
     unknown = names - overlays.keys()
     if unknown:
-        listed, near = ", ".join(Overlay.named()), did_you_mean(min(unknown), Overlay.named(), or_else="")
+        listed, near = ", ".join(Overlay.named()), did_you_mean(min(unknown), overlays, or_else="")
         raise typer.BadParameter(f"{min(unknown)!r}{near} is none of {listed}", param_hint="--show")
     return frozenset(overlays[name] for name in names)
 

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar, require_plot_suffix, with_verbosity
 from glstar.system.files import write_atomically
 from glstar.system.process import exit_on_interrupt, exit_status
 
@@ -64,12 +64,13 @@ def make(
     Try: glstar bench make static -o static
     """
     with exit_on_interrupt():
+        from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV
         from glstar.score.sets import difference_from, make_set, recipe, reference_of  # noqa: PLC0415 - OpenCV
 
     size = "full" if full else "small"
     chosen = recipe(name)
     try:
-        with _executor(workers) as executor, progress_bar("frames") as on_frame:
+        with explain_disk_errors(output), _executor(workers) as executor, progress_bar("frames") as on_frame:
             made = make_set(chosen, size, output, executor, on_part=_announce, on_frame=on_frame)
     except KeyboardInterrupt as interrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
@@ -134,16 +135,21 @@ def run(
 
     Try: glstar bench run "python solver_adapters.py tetra3rs" static -o results/tetra3rs
     """
+    from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV
     from glstar.score.board import markdown, summary_rows  # noqa: PLC0415 - OpenCV
     from glstar.score.runs import Solver, run_solver  # noqa: PLC0415 - OpenCV
     from glstar.score.sets import MadeSet  # noqa: PLC0415 - OpenCV
 
-    words = tuple(shlex.split(solver))
+    try:
+        words = tuple(shlex.split(solver))
+    except ValueError as error:
+        raise typer.BadParameter(f"{solver}: {str(error).lower()}", param_hint="SOLVER") from None
     if not words:
         raise typer.BadParameter("an empty command", param_hint="SOLVER")
     made = MadeSet.read(directory)
     program = Solver(words, name or Path(words[-1]).stem, solver_version)
-    result, failures = run_solver(program, made, output, timeout_s=timeout_s, on_part=_announce)
+    with explain_disk_errors(output):
+        result, failures = run_solver(program, made, output, timeout_s=timeout_s, on_part=_announce)
     for part, failure in failures.items():
         typer.echo(f"glstar: {part}: {program.name} {failure}; {output / part}.log", err=True)
     typer.echo(json.dumps(result) if as_json else markdown(summary_rows([result])), nl=as_json)
@@ -173,17 +179,21 @@ def table(
 
     Try: glstar bench table results/* --by part --plot board.png
     """
+    from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV
     from glstar.score.board import draw_board, group_rows, in_order, markdown, summary_rows  # noqa: PLC0415
     from glstar.score.runs import read_result  # noqa: PLC0415 - OpenCV
 
+    require_plot_suffix(plot)
     read = in_order([read_result(path) for path in results])
     if as_json:
         text = json.dumps(read) + "\n"
     else:
         text = "\n".join(markdown(rows) for rows in (summary_rows(read), *(group_rows(read, one) for one in by or ())))
     if plot is not None:
-        draw_board(read, plot)
+        with explain_disk_errors(plot):
+            draw_board(read, plot)
     if output is None:
         typer.echo(text, nl=False)
-    else:
+        return
+    with explain_disk_errors(output):
         write_atomically(output, text.encode())

@@ -56,6 +56,7 @@ def convert(
     video_fps: Annotated[
         float, typer.Option(help="Frame rate of the video that subtitles belong to, 1/s (srt).", min=0.1, max=240)
     ] = 10.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace the table of a flight.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Convert an export to MCAP, a ROS 2 bag, CSV, images with EXIF, COCO, YOLO or WebDataset; or a flight to CSV.
@@ -69,8 +70,10 @@ def convert(
         kinds = "mcap, ros2, csv, srt, png, jpeg, coco, yolo or webdataset"
         raise ConfigError(f"{output}: say with --to whether {kinds} is meant")
     if is_flight_description(str(export)) or export.is_file() or str(export) == DEMO:
-        _tabulate(export, Path(output), kind, as_json=as_json)
+        _tabulate(export, Path(output), kind, force=force, as_json=as_json)
         return
+    if force:
+        raise typer.BadParameter("replaces the table of a flight only; name another output", param_hint="--force")
     written = _converted(export, output, kind, min_snr, shard_frames, video_fps)
     if as_json:
         typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
@@ -96,14 +99,16 @@ def _converted(
         return tuple(map(str, _written(export, Path(output), kind)))
 
 
-def _tabulate(flight: Path, output: Path, kind: str, *, as_json: bool) -> None:
+def _tabulate(flight: Path, output: Path, kind: str, *, force: bool, as_json: bool) -> None:
     """Write a flight as a table that every command reads."""
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV, only when needed
 
     if kind != "csv":
         raise ConfigError(f"{output}: of a flight there is a CSV table only; name a file that ends with .csv")
-    if output.exists():
-        raise ConfigError(f"{output} is there already; name another file")
+    if output.exists() and flight.exists() and output.samefile(flight):
+        raise ConfigError(f"{output} is the flight itself; name another file")
+    if output.exists() and not force:
+        raise ConfigError(f"{output} is there already; name another file, or replace it with --force")
     described = is_flight_description(str(flight))
     read = parse_description(str(flight)).flight() if described else Config().open_flight(flight)
     with explain_disk_errors(output):

@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from glstar.camera.mounts import mount_label
-from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
+from glstar.cli.flightoptions import FlightFlags, Format, flights_of, note_swept, with_flight_flags
 from glstar.cli.images import exportoptions as options
 from glstar.cli.reporting import echo_detail, echo_note, progress_bar, with_verbosity
 from glstar.flight import DATA_GAP
@@ -148,6 +148,7 @@ def _prepare(
     from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV
 
     if len(paths) > 1 or settings.sweep:
+        note_swept(settings)
         job = prepare_data_set(settings, paths, output, wanted, strict=strict)
         for log in job.omitted_logs:
             typer.echo(f"glstar: left out: {log.path}: {' '.join(log.reason.split())}", err=True)
@@ -177,9 +178,8 @@ def _refuse_contradictions(
     if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
     if verify and writes_more:
-        raise typer.BadParameter(
-            "only compares; leave out --dask, --dry-run, --force and --video", param_hint="--verify"
-        )
+        advice = "only compares; leave out --dask, --dry-run, --force and --video"
+        raise typer.BadParameter(advice, param_hint="--verify")
 
 
 def _default_workers(frames: int, part: "Shard") -> int:

@@ -22,7 +22,8 @@ from typing import Any
 import glstar
 from glstar import __version__
 from glstar.camera.sensor.sensor import Sensor
-from glstar.config import FLIGHT_FLAGS, Config
+from glstar.config import Config
+from glstar.config.keys import KEY_FLAGS, PATHS, PRESETS
 from glstar.errors import ExportError
 from glstar.export.directory import (
     OURS,
@@ -42,7 +43,7 @@ from glstar.flight import Flight
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import described_earth_orientation, format_utc
 from glstar.system.files import flush_directory, flush_handle, temporary_path, write_atomically
-from glstar.system.resources import asset, shader_paths
+from glstar.system.resources import DEMO, asset, bundled_flight, shader_paths
 from glstar.system.userinput import read_bytes, read_json
 from glstar.telemetry import is_flight_description
 
@@ -309,19 +310,37 @@ def _exists(path: Path) -> bool:
 
 
 def _command(config: Config, flight_paths: Sequence[Path], options: ExportOptions) -> str:
-    """Return the command line of an export, without the directory."""
-    arguments: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
+    """Return the command line of an export, without the directory; files are named without their folders."""
+    arguments: list[object] = ["glstar", "export"]
+    # A flight that the config describes is not named again.
+    arguments += [] if config.synthetic.description else map(_flight_name, flight_paths)
     if config.file is not None:
         arguments += ["--config", config.file.name]
-    arguments += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
-    given = tuple((flag, getattr(config.flight, key)) for key, flag in FLIGHT_FLAGS.items())
-    for flag, value in (*given, ("--start", options.start_s), ("--stop", options.stop_s), ("--frames", options.frames)):
-        arguments += [] if value is None else [flag, value]
+    exposure = config.exposure
+    values: dict[str, Any] = {"exposure.duration_s": exposure.duration_s, "exposure.interval_s": exposure.interval_s}
+    values |= config.overridden
+    if exposure.at:
+        del values["exposure.interval_s"]
+    for axis in config.sweep.axes:
+        values.pop(axis.key, None)
+    for key, value in values.items():
+        is_file = key in {*PATHS, *PRESETS} and Path(str(value)).is_absolute()
+        arguments += [KEY_FLAGS[key], Path(str(value)).name if is_file else value] if key in KEY_FLAGS else []
+    extent = {"--start": options.start_s, "--stop": options.stop_s, "--frames": options.frames}
+    for flag, limit in extent.items():
+        arguments += [] if limit is None else [flag, limit]
     arguments += ["--format", options.image_format, "--seed", options.seed]
     arguments += ["--light"] if options.noiseless else []
     arguments += ["--masks"] if options.masks else []
     arguments += ["--exif"] if options.exif else []
     return shlex.join(str(argument) for argument in arguments)
+
+
+def _flight_name(path: Path) -> str:
+    """Return how a command line names a flight."""
+    if path == bundled_flight():
+        return DEMO
+    return str(path) if is_flight_description(str(path)) else path.name
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ in units of 1/90,000 s.  A keyframe with its parameters follows every second, fo
 """
 
 import re
+import socket
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -160,9 +161,13 @@ class VideoStream:
 
 
 def check_video(where: str) -> None:
-    """Raise ConfigError if a name is neither ``rtp://HOST:PORT`` nor ``NAME.ts``, or PyAV is not installed."""
+    """Raise ConfigError if a name is neither ``rtp://HOST:PORT`` of a known host nor ``NAME.ts``, or without PyAV."""
     if where.startswith(RTP):
-        RtpAddress.parse(where)
+        host, port = RtpAddress.parse(where)
+        try:
+            socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        except OSError as error:
+            raise ConfigError(f"{where}: the host {host} is not known ({error.strerror})") from None
     elif "://" in where or Path(where).suffix.lower() not in _SUFFIXES:
         other = "; glstar export --video writes .webm and .mp4" if Path(where).suffix in {".mp4", ".webm"} else ""
         raise ConfigError(f"{where} is no live video: write rtp://HOST:PORT, or a file NAME.ts{other}")
