@@ -122,6 +122,7 @@ def test_the_command_line_has_these_commands() -> None:
     names = [" ".join(path) for path, _ in ALL_COMMANDS]
 
     assert sorted(names) == [
+        *("bench", "bench make", "bench run", "bench sets", "bench table"),
         *("camera", "camera calibrate", "camera charuco", "camera chessboard", "camera presets"),
         *("camera rectify", "camera show", "compare", "config", "convert", "demo", "doctor", "doctor bench"),
         *("export", "fly", "info", "live", "live answer", "live replay", "manual", "score", "sky", "sky catalogue"),

@@ -31,13 +31,17 @@ def texts() -> set[str]:
 
 
 def test_the_help_of_logs_names_suffixes_of_the_table(texts: set[str]) -> None:
-    of_logs = [text for text in texts if ".tlog, " in text]
+    of_logs = [text for text in texts if ".tlog)" in text and ".ulg)" in text]
 
     assert len(of_logs) >= 3
     for text in of_logs:
         assert {suffix.lower() for suffix in re.findall(r"\.[A-Za-z]\w*", text)} - {".gz", ".zip"} <= {*LOG_SUFFIXES}
-        for program, suffix in re.findall(r"([A-Z]\w+) (\.\w+)", text):
-            assert any(suffix in entry.suffixes and entry.name.startswith(program) for entry in LOG_FORMATS)
+        # "ArduPilot (.BIN, .log), MAVLink (.tlog)".
+        named = re.findall(r"([A-Z]\w+) \(([^)]*\.\w[^)]*)\)", text)
+        assert len(named) >= 3
+        for program, suffixes in named:
+            for suffix in suffixes.split(", "):
+                assert any(suffix in entry.suffixes and entry.name.startswith(program) for entry in LOG_FORMATS)
 
 
 def test_the_manual_names_every_format_of_the_table() -> None:

@@ -152,7 +152,7 @@ def test_the_white_level_is_dragged_in_the_histogram(viewer):
 def test_the_window_s_sky_stays_dark_under_the_moon_unless_the_stretch_is_held(make_viewer):
     """The full Moon of 2024-03-25 lights the image of a 12-bit sensor to thrice its usual range."""
     flight = (
-        "fly:still?start_utc=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&heading_deg=30&pitch_deg=-30"
+        "fly:still?utc_start=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&heading_deg=30&pitch_deg=-30"
     )
     camera = {"sky.preset": "full", "camera.preset": "imx477:1332x990", "camera.lens_mm": 6.0, "camera.f_number": 1.2}
     viewer = make_viewer(Path(flight), config=Config().override(**camera))

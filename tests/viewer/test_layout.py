@@ -17,7 +17,7 @@ from tests.support.windowtext import letters, overlaps
 
 PANELS = ("Settings", "View", "Compare", "Object", "Flight")
 # A camera at rest, whose rates are rounding errors.
-AT_REST = Path("fly:still?start_utc=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&pitch_deg=-30")
+AT_REST = Path("fly:still?utc_start=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&pitch_deg=-30")
 
 
 @pytest.fixture(scope="module", params=[(1280, 800), (1920, 1080)], ids=["small", "usual"])

@@ -15,7 +15,7 @@ from glstar.viewer.ui.panels import object as objectpanel
 from tests.support.windowinput import screen
 from tests.viewer.conftest import write_flight
 
-MOON_UP = Path("fly:still?start_utc=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&pitch_deg=-30")
+MOON_UP = Path("fly:still?utc_start=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&pitch_deg=-30")
 
 
 def select(viewer, name: str):

@@ -418,7 +418,7 @@ class Overlay(StrEnum):
     )
     DEEP_SKY = (
         "deep-sky objects",
-        OverlaySpec("Deep-sky objects of Messier", "O", 3, (120, 200, 190, 220), 150, draw=_draw_deep_sky),
+        OverlaySpec("Deep-sky objects of Messier", "O", 3, (145, 205, 210, 220), 150, draw=_draw_deep_sky),
     )
     AXIS = ("optical axis", OverlaySpec("Optical axis and roll", "A", 1, (250, 92, 92, 230), 255, draw=_draw_axis))
     TICKS = (

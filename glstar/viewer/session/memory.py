@@ -64,7 +64,7 @@ class Place:
     def sky(self, utc_s: float) -> Path:
         """Return a flight at rest here for some hours from a time on, UTC seconds since 1970."""
         at = f"latitude_deg={self.latitude_deg:g}&longitude_deg={self.longitude_deg:g}&height_m={self.height_m:g}"
-        return Path(f"fly:still?start_utc={format_utc(utc_s)}&{at}&duration_s={_SKY_S:g}&rate_hz=1")
+        return Path(f"fly:still?utc_start={format_utc(utc_s)}&{at}&duration_s={_SKY_S:g}&rate_hz=1")
 
 
 def _degrees(text: str) -> float:
