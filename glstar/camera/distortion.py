@@ -41,7 +41,7 @@ from math import isfinite
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from glstar.arrays import Float
 from glstar.errors import CalibrationError
@@ -237,21 +237,37 @@ def _brown_limit(coefficients: Coefficients) -> float:
 
 def _unfolded(coefficients: Coefficients, limit: float) -> float:
     """Return the distance from the axis, at most `limit`, up to which tangential terms fold no direction back."""
-    azimuth_rad = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-
-    def folds(radius: Float) -> NDArray[np.bool_]:
-        x, y = np.outer(radius, np.cos(azimuth_rad)), np.outer(radius, np.sin(azimuth_rad))
-        xx, xy, yx, yy = _brown_jacobian(coefficients, x, y)
-        return np.asarray((xx * yy - xy * yx <= 0).any(axis=1))
-
     radii = np.tan(np.linspace(0.0, min(np.arctan(limit), _MAX_FIELD_RAD), _TABLE_SIZE))
     for _ in range(3):
-        folded = folds(radii)
-        if not folded.any():
+        first = _first_fold(coefficients, radii)
+        if first is None:
             return limit
-        first = int(folded.argmax())
         radii = np.linspace(radii[max(first - 1, 0)], radii[first], _TABLE_SIZE)
     return float(radii[0])
+
+
+def _first_fold(coefficients: Coefficients, radii: Float) -> int | None:
+    """Return the index of the first of increasing radii, (n,), on whose circle a direction is folded; None if none is.
+
+    Where the radial terms stretch by more than the others can bend, nothing folds: only the other circles are sampled,
+    and those next to a pole, where rounding decides.
+    """
+    _, _, p1, p2, _, _, _, _, s1, s2, s3, s4, _, _ = coefficients
+    q = radii * radii
+    factor, slope = _brown_factor(coefficients, q)
+    stretched = np.minimum(factor, factor + 2 * slope * q)
+    # The tangential terms are 2 (v r^T + r v^T + (v . r) 1) with v = (p2, p1), those of the prism an outer product.
+    bent = radii * (6 * np.hypot(p1, p2) + 2 * np.hypot(s1 + 2 * s2 * q, s3 + 2 * s4 * q))
+    doubtful = np.flatnonzero(~((stretched > 1.001 * bent) & (stretched < _NEXT_TO_A_POLE)))
+    azimuth_rad = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    cosine, sine = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    for start in range(0, len(doubtful), _CIRCLES):
+        circles = doubtful[start : start + _CIRCLES]
+        xx, xy, yx, yy = _brown_jacobian(coefficients, np.outer(radii[circles], cosine), np.outer(radii[circles], sine))
+        folded = (xx * yy - xy * yx <= 0).any(axis=1)
+        if folded.any():
+            return int(circles[folded.argmax()])
+    return None
 
 
 def _tilt_rotation(coefficients: Coefficients) -> Float:
@@ -283,6 +299,9 @@ _LIMIT_MARGIN = 1e-9
 _MAX_FIELD_RAD = np.deg2rad(89.5)
 # Entries of the tables from which Newton's method starts.
 _TABLE_SIZE = 1024
+# Circles around the axis that are searched for folds at a time, and a stretch of directions that only a pole has.
+_CIRCLES = 64
+_NEXT_TO_A_POLE = 1e4
 _MAX_STEPS = 12
 # Newton's method stops at this error, in focal lengths: a hundred millionth of a pixel at f = 10 000 px.
 _CONVERGED = 1e-12

@@ -195,6 +195,38 @@ def test_a_lens_ends_at_the_maximum_of_its_polynomial(lens: Lens, limit_rad: flo
     assert lens.limit_rad == pytest.approx(limit_rad)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_lens_with_tangential_terms_ends_where_a_first_direction_folds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    k1, k2, k3 = rng.normal(0.0, (0.3, 0.2, 0.1))
+    p1, p2, *prism = rng.normal(0.0, 10 ** rng.uniform(-4, -1), 6) * ([1] * 6 if seed % 2 else [1, 1, 0, 0, 0, 0])
+    lens = Lens("rational", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, *prism))
+    radii = np.tan(np.linspace(0.0, np.deg2rad(89.0), 3000))
+    azimuth_rad = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+    x, y = np.outer(radii, np.cos(azimuth_rad)), np.outer(radii, np.sin(azimuth_rad))
+
+    def moved(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        q = x**2 + y**2
+        factor = 1 + k1 * q + k2 * q**2 + k3 * q**3
+        return (
+            x * factor + 2 * p1 * x * y + p2 * (q + 2 * x**2) + prism[0] * q + prism[1] * q**2,
+            y * factor + p1 * (q + 2 * y**2) + 2 * p2 * x * y + prism[2] * q + prism[3] * q**2,
+        )
+
+    step = 1e-6 * (1 + np.hypot(x, y))
+    (xx, yx), (xy, yy) = (
+        [
+            (after - before) / (2 * step)
+            for after, before in zip(moved(x + dx, y + dy), moved(x - dx, y - dy), strict=True)
+        ]
+        for dx, dy in ((step, 0.0), (0.0, step))
+    )
+    folded = (xx * yy - xy * yx <= 0).any(axis=1)
+    expected = float(np.arctan(radii[folded.argmax()])) if folded.any() else np.pi / 2
+
+    assert lens.limit_rad == pytest.approx(expected, rel=0, abs=2 * np.deg2rad(89.0) / 3000)
+
+
 def test_a_pixel_outside_the_image_circle_has_no_direction() -> None:
     camera = Camera(1014, 760, 600.0, 600.0, 506.5, 379.5, 0.0, Lens("plumb_bob", (-0.4,)))
 
