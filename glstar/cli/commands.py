@@ -75,7 +75,6 @@ COMMANDS = {
         "images.bench",
         "app",
         "NightSky-Bench: draw named sets of frames, run solvers on them, compare.",
-        _NAVIGATORS,
     ),
     "sky": Entry(
         "flights.sky",

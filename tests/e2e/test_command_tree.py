@@ -44,11 +44,11 @@ def plain(text: str) -> str:
     return " ".join(re.sub("[│╭╮╰╯─]", " ", text).split())
 
 
-def test_thirteen_commands_are_listed_and_those_inside_them_are_named() -> None:
+def test_twelve_commands_are_listed_and_those_inside_them_are_named() -> None:
     listed = re.findall(r"^│ (\w+) +[A-Z]", own_process("--help").stdout, re.MULTILINE)
 
     assert listed == [name for name, entry in COMMANDS.items() if entry.panel]
-    assert len(listed) == 13
+    assert len(listed) == 12
     assert "Also: live replay, live answer." in plain(own_process("--help").stdout)
 
 

@@ -53,7 +53,7 @@ def test_the_fitted_clock_offset_is_written_to_the_settings(taken: Path, tmp_pat
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
     assert {path.name for path in (tmp_path / "compared").iterdir()} == {
-        *("compare.json", "compare.png", "best.png", "worst.png", "pairs.csv", "aligned.toml")
+        *("compare.json", "compare.png", "best.png", "worst.png", "pairs.csv", "aligned.toml", "index.html")
     }
     assert json.loads((tmp_path / "compared" / "compare.json").read_text(encoding="utf-8")) == facts
     aligned = Config.load(tmp_path / "compared" / "aligned.toml")

@@ -9,7 +9,7 @@ from glstar.cli.concepts import CONCEPTS
 from glstar.config import Config
 from glstar.config.keys import KEY_FLAGS
 from tests.support.exports import CAMERA, assert_same, done, manifest_of
-from tests.telemetry.test_triggers import dataflash
+from tests.support.triggers import dataflash
 
 WATCHED = CAMERA + '[exposure]\nduration_s = 0.1\n[flight.synthetic]\npath = "orbit"\nradius_m = 300\n'
 CALIBRATION = CAMERA.replace("150.0", "170.0")

@@ -241,7 +241,10 @@ def test_memory_does_not_grow_with_the_number_of_frames(export: Path, tmp_path: 
         write(folder, tmp_path / f"{len(peaks)}.{suffix}")
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < 200_000, "bytes; 1000 subtitles have 250 KB, and 1000 lines of truth 2 MB"
+    # Each line of truth is written again, to find keys that are there twice: 20 KB, whatever the number of lines.
+    allowed = {"csv": 220_000, "srt": 200_000}[suffix]
+    assert peaks[1] < allowed, "bytes; 1000 subtitles have 250 KB, and 1000 lines of truth 2 MB"
+    assert peaks[1] < peaks[0] + 20_000
 
 
 @pytest.mark.parametrize("kind", ["png", "jpeg"])

@@ -247,5 +247,8 @@ def test_a_link_is_a_video_of_the_camera_that_it_describes(tmp_path: Path) -> No
     assert result.exit_code == 0, result.output
     assert f"m=video {out} RTP/AVP 96\r\n" in (tmp_path / "night.sdp").read_bytes().decode()
     stamps = np.array([struct.unpack_from(">I", packet, 4)[0] for packet in packets if packet[1] >> 7])
-    # Frames end at attitudes, which come every 20 ms; a busy machine leaves out some of the frames.
-    assert np.diff(stamps).min() / 90_000 > 0.079
+    # Frames end at attitudes, which come every 20 ms; a busy machine leaves out some of the frames, and delays single
+    # ones, after which the next is on time.
+    assert (np.diff(stamps) > 0).all()
+    assert np.median(np.diff(stamps)) / 90_000 > 0.079
+    assert (stamps[-1] - stamps[0]) / 90_000 > 0.1 * (len(stamps) - 1) - 0.021

@@ -24,7 +24,7 @@ def sky() -> Sky:
 
 @pytest.fixture(scope="module")
 def skyfield_times():
-    """Return Skyfield's rise and set of a body, by the almanac's 34' of refraction and the upper limb."""
+    """Yield Skyfield's rise and set of a body, by the almanac's 34' of refraction and the upper limb."""
     api, almanac, data = (pytest.importorskip(f"skyfield.{name}") for name in ("api", "almanac", "iokit"))
     skyfield_data = pytest.importorskip("skyfield_data")
     with warnings.catch_warnings():
@@ -42,7 +42,8 @@ def skyfield_times():
             ends.append((found[0].utc_datetime()).timestamp())
         return ends
 
-    return of
+    yield of
+    ephemeris.close()
 
 
 @pytest.mark.parametrize(
