@@ -12,9 +12,10 @@ from typing import Any, Final
 
 from glstar import __version__
 from glstar.errors import AnswersError, ExportError, GlstarError
+from glstar.export.truth.lines import DETECTABLE_SNR
 from glstar.score.frames import FrameScore, Limits, read_frame_truths, score_frame
 from glstar.score.metrics import BINS, summarized
-from glstar.score.scoring import DETECTABLE_SNR, matched_answers
+from glstar.score.scoring import matched_answers
 from glstar.score.sets import FRAMES, TRUTH, MadeSet
 from glstar.system.files import write_atomically
 

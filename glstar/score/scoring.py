@@ -10,6 +10,7 @@ import numpy as np
 from glstar.arrays import Float
 from glstar.camera.model import AttitudeError
 from glstar.errors import AnswersError
+from glstar.export.truth.lines import DETECTABLE_SNR
 from glstar.score.answers import Answer, AnswerFile, FirstAnswers, read_answers
 from glstar.score.frames import FrameScore, FrameTruth, Limits, Outcome, read_frame_truths, score_frame
 from glstar.score.metrics import (
@@ -26,8 +27,6 @@ from glstar.score.metrics import (
 )
 from glstar.sky.place.apparent import ARCSEC_RAD
 
-# Signal-to-noise ratio above which a matched filter detects a trail with few false alarms.
-DETECTABLE_SNR = 10.0
 _TURN_RAD = 2 * np.pi
 # Smallest number of positions to fit a circle to.
 _LEAST_FIXES = 4

@@ -11,10 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.tables import console_of_width, print_table
+from glstar.export.truth.lines import DETECTABLE_SNR
 from glstar.score.frames import Limits
 from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
 from glstar.score.metrics import ERRORS, METRICS, Metric, Spread, Summary
-from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Orbit, Score, draw_score, orbits_by_setting
+from glstar.score.scoring import RUN_METRICS, Orbit, Score, draw_score, orbits_by_setting
 from glstar.system.files import write_atomically
 
 # Width of a score that is written to a pipe, characters.

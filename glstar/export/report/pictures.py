@@ -14,6 +14,7 @@ from glstar.errors import ExportError
 from glstar.export.directory import image_path
 from glstar.export.imagefiles.formats import decode
 from glstar.export.imagefiles.processing import encode_jpeg
+from glstar.export.truth.lines import DETECTABLE_SNR
 from glstar.sky.catalogue.names import proper_names
 from glstar.sky.catalogue.reading import star_label
 
@@ -31,8 +32,6 @@ _QUALITIES = (
 _MOST_STARS, _MOST_NAMES = 150, 20
 # Radius of the circle about a star, px.
 _CIRCLE_PX = 6.0
-# Signal-to-noise ratio of a detectable star, as in ``glstar score``.
-DETECTABLE_SNR = 10.0
 # The display is linear up to this many standard deviations of the sky; white is at the brightest pixels, but at least
 # this many standard deviations above the sky.
 _LINEAR_SIGMA, _WHITE_SIGMA = 3.0, 30.0

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import asin, atan2, degrees
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,12 @@ from glstar.export.report.html import (
     thumbnails,
     viewer,
 )
-from glstar.export.report.pictures import DETECTABLE_SNR, MOST_FRAMES, Picture, drawing_of, picture_of
-from glstar.export.truth.datacard import describe_frames
-from glstar.export.truth.lines import count_frames_of_truth, read_truth
+from glstar.export.report.pictures import MOST_FRAMES, Picture, drawing_of, picture_of
+from glstar.export.truth.datacard import data_card
+from glstar.export.truth.lines import DETECTABLE_SNR, read_truth
 from glstar.export.truth.overlays import camera_of
 from glstar.rotation import fitted_rotation, matrix_from_quaternion, turn_from_matrix
+from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.system.files import write_atomically
 
 # A rotation needs this many stars.
@@ -61,19 +62,19 @@ class _Shown:
 
 def set_page(directory: Path) -> bytes:
     """Return the page of a complete export; raises ExportError if it cannot be read."""
-    frames = count_frames_of_truth(directory)
+    card = data_card(directory)
+    frames = card.frames
     chosen = set(evenly(frames, MOST_FRAMES))
     shown = [
         _shown(directory, line, len(chosen)) for number, line in enumerate(read_truth(directory)) if number in chosen
     ]
-    card = describe_frames(directory)
     if not shown:
-        return page("No frames", [section("Data card", markdown(card))], {"frames": []})
+        return page("No frames", [section("Data card", markdown(card.text))], {"frames": []})
     first, last = shown[0].drawing, shown[-1].drawing
     which = f"all {frames} frames" if frames == len(shown) else f"{len(shown)} of {frames} frames, evenly chosen"
     intro = [
         paragraph("Simulated long exposures of the night sky, with exact truth, by glstar."),
-        table(("", ""), _facts(card, first, last)),
+        table(("", ""), [*card.facts, ("UTC of mid-exposure", f"{first['utc']} to {last['utc']}")]),
         paragraph(
             f"This page shows {which}. Their brightness is stretched (asinh) and their size may be reduced; measure on"
             " the files beside this page."
@@ -87,28 +88,10 @@ def set_page(directory: Path) -> bytes:
             "Where",
             columns("maps", (ground_track([o.position_deg for o in shown]), sky_track([o.axis_deg for o in shown]))),
         ),
-        section("Data card", markdown(card), is_closed=True),
+        section("Data card", markdown(card.text), is_closed=True),
     ]
     title = f"{directory.absolute().name}: {frames} frame{'s' * (frames != 1)}"
     return page(title, sections, {"frames": [one.drawing | {"facts": one.facts} for one in shown]})
-
-
-def _facts(card: str, first: Mapping[str, Any], last: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    """Return what a set is, of the sections of its data card."""
-    sections = dict(block.split("\n\n", 1) for block in card.split("\n## ")[1:])
-    for number, line in enumerate(sections["Content"].splitlines()):
-        cells = line.strip("| ").split(" | ")
-        if line.startswith("- ") and "truth.jsonl" not in line:
-            yield "" if number > 2 else "content", line[2:]
-        elif line.startswith("| ") and cells[0] != "flight":
-            yield "flight", cells[0]
-    for line in sections.get("Camera", "").splitlines():
-        yield "camera", line.removeprefix("- ")
-    sky = dict(line.strip("| ").split(" | ", 1) for line in sections.get("Sky", "").splitlines() if " | " in line)
-    for key, label in (("catalogue", "star catalogue"), ("vmag_limit", "faintest magnitude")):
-        if key in sky:
-            yield label, sky[key]
-    yield "UTC of mid-exposure", f"{first['utc']} to {last['utc']}"
 
 
 def _thumbnails(shown: Iterable[_Shown]) -> Iterable[tuple[str, bytes]]:
@@ -157,9 +140,9 @@ def _shown(directory: Path, line: Mapping[str, Any], frames: int) -> _Shown:
 
 def axis_azimuth_altitude_deg(line: Mapping[str, Any]) -> tuple[float, float]:
     """Return azimuth, 0 to 360, and altitude of the optical axis mid-exposure, deg, without refraction."""
-    C_body_ned = matrix_from_quaternion(line["q_body_ned"])
-    north, east, down = (np.array(line["C_camera_body"]) @ C_body_ned)[2].tolist()
-    return degrees(atan2(east, north)) % 360.0, degrees(asin(min(max(-down, -1.0), 1.0)))
+    C_camera_ned = np.array(line["C_camera_body"]) @ matrix_from_quaternion(line["q_body_ned"])
+    azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_camera_ned[2])
+    return degrees(azimuth_rad), degrees(altitude_rad)
 
 
 def _rate_deg_per_s(line: Mapping[str, Any]) -> float | None:

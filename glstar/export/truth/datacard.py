@@ -9,24 +9,24 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import degrees, dist
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from glstar.errors import CatalogueError, ExportError
 from glstar.export.directory import DATA_CARD, SPLITS, explain_disk_errors
-from glstar.export.truth.lines import read_truth
+from glstar.export.truth.lines import DETECTABLE_SNR, read_truth
 from glstar.export.truth.splits import read_splits
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import format_utc, parse_utc
 from glstar.system.files import write_atomically
 from glstar.system.userinput import read_json, read_whole
 
-# Signal-to-noise ratio from which a star counts as detectable, as in ``glstar score``.
-_DETECTABLE_SNR = 10.0
 _BINS = 8
 # Values that are counted one by one; more become ranges.
 _MOST_VALUES = 12
+# Keys of ``[sky]`` that are facts of a set, and their labels.
+_SKY_FACTS = {"catalogue": "star catalogue", "vmag_limit": "faintest magnitude"}
 
 
 @dataclass(slots=True)
@@ -81,7 +81,7 @@ class _Seen:
 
     def add(self, line: Mapping[str, Any]) -> None:
         """Count one frame."""
-        detectable = [star for star in line["stars"] if star.get("snr", 0.0) >= _DETECTABLE_SNR]
+        detectable = [star for star in line["stars"] if star.get("snr", 0.0) >= DETECTABLE_SNR]
         self.frames += 1
         self.stars += len(line["stars"])
         self.detectable += len(detectable)
@@ -98,7 +98,7 @@ class _Seen:
             "longitude, deg": line["site"]["longitude_deg"],
             "height, m": line["site"]["height_m"],
             "altitude of the optical axis, deg": degrees(float(np.arcsin(up))),
-            f"stars with a signal-to-noise ratio of {_DETECTABLE_SNR:g} or more": len(detectable),
+            f"stars with a signal-to-noise ratio of {DETECTABLE_SNR:g} or more": len(detectable),
         }
         lengths = [dist(s["end"], s["start"]) for s in detectable if s["start"] and s["end"]]
         if lengths:
@@ -115,15 +115,20 @@ def write_card(directory: Path) -> Path:
     """
     card = directory / DATA_CARD
     with explain_disk_errors(card):
-        write_atomically(card, describe_frames(directory).encode())
+        write_atomically(card, data_card(directory).text.encode())
     return card
 
 
-def describe_frames(directory: Path) -> str:
-    """Return the data card of a complete export as Markdown.
+class DataCard(NamedTuple):
+    """What a set of frames holds, and how it was made."""
 
-    Raises ExportError if the manifest or the truth cannot be read.
-    """
+    text: str  # Markdown
+    frames: int
+    facts: tuple[tuple[str, str], ...]  # What the set is, in short: label and text; no label continues the one above
+
+
+def data_card(directory: Path) -> DataCard:
+    """Return the data card of a complete export; raises ExportError if the manifest or the truth cannot be read."""
     path = directory / "manifest.json"
     try:
         manifest = read_json(read_whole(path))
@@ -133,10 +138,12 @@ def describe_frames(directory: Path) -> str:
     seen = _Seen()
     for line in read_truth(directory):
         seen.add(line)
+    counts, flights = _counts(manifest, seen), _flights(manifest)
+    cameras = [f"{camera}: {_frames(count)}" for camera, count in seen.cameras.most_common(_MOST_VALUES)]
     sections = {
-        "Content": _content(manifest, seen),
+        "Content": _content(counts, flights),
         "Splits": _splits(directory),
-        "Camera": [f"- {camera}: {_frames(count)}" for camera, count in seen.cameras.most_common(_MOST_VALUES)],
+        "Camera": [f"- {camera}" for camera in cameras],
         "Sensor": _table("key", "value", manifest["sensor"].items()),
         "Sky": _table("key", "value", config["sky"].items()),
         "What the sweep varies": _histograms(seen.settings),
@@ -149,24 +156,47 @@ def describe_frames(directory: Path) -> str:
     for title, lines in sections.items():
         if lines:
             text += [f"## {title}", "", *lines, ""]
-    return "\n".join(text[:-1]) + "\n"
+    sky = {label: config["sky"][key] for key, label in _SKY_FACTS.items() if key in config["sky"]}
+    facts = (
+        *(("" if k else "content", count) for k, count in enumerate(counts)),
+        *(("flight", name) for name in flights),
+        *(("camera", camera) for camera in cameras),
+        *((label, _cell(value)) for label, value in sky.items()),
+    )
+    return DataCard("\n".join(text[:-1]) + "\n", seen.frames, facts)
 
 
-def _content(manifest: Mapping[str, Any], seen: _Seen) -> list[str]:
-    logs = manifest.get("flights") or [manifest["flight"]]
+def _flights(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return the SHA-256 of each flight by its name and time."""
+    return {f"{log['name']}, {log['first_utc']}": log["sha256"] for log in _logs(manifest)}
+
+
+def _logs(manifest: Mapping[str, Any]) -> list[Any]:
+    logs: list[Any] = manifest.get("flights") or [manifest["flight"]]
+    return logs
+
+
+def _counts(manifest: Mapping[str, Any], seen: _Seen) -> list[str]:
+    """Return how many frames, stars, bodies and samples a set has."""
     bodies = ", ".join(f"{name} on {_frames(count)}" for name, count in seen.bodies.most_common())
+    return [
+        f"{_frames(seen.frames)}, {manifest['format']}" + (", each with its noiseless signal" * manifest["light"]),
+        f"{seen.stars} star trails in the truth, {seen.detectable} of them with a signal-to-noise ratio of"
+        f" {DETECTABLE_SNR:g} or more",
+        *([bodies] if bodies else []),
+        f"samples of the sweep times flight logs or descriptions: {manifest.get('samples', len(_logs(manifest)))};"
+        f" frames skipped because a log has gaps: {len(manifest['skipped'])}",
+    ]
+
+
+def _content(counts: Iterable[str], flights: Mapping[str, str]) -> list[str]:
     return [
         "Long exposures of the night sky by a camera fixed to an aircraft, drawn by glstar, not photographed.",
         "",
-        f"- {_frames(seen.frames)}, {manifest['format']}" + (", each with its noiseless signal" * manifest["light"]),
-        f"- {seen.stars} star trails in the truth, {seen.detectable} of them with a signal-to-noise ratio of"
-        f" {_DETECTABLE_SNR:g} or more",
-        *([f"- {bodies}"] if bodies else []),
-        f"- samples of the sweep times flight logs or descriptions: {manifest.get('samples', len(logs))};"
-        f" frames skipped because a log has gaps: {len(manifest['skipped'])}",
+        *(f"- {count}" for count in counts),
         "- `truth.jsonl` has one line per frame; `glstar manual truth` describes its keys",
         "",
-        *_table("flight", "sha256", ((f"{log['name']}, {log['first_utc']}", log["sha256"]) for log in logs)),
+        *_table("flight", "sha256", flights.items()),
     ]
 
 
@@ -247,8 +277,11 @@ def _camera(keys: Mapping[str, Any]) -> str:
 
 
 def _table(first: str, second: str, rows: Iterable[tuple[str, Any]]) -> list[str]:
-    cells = [(name, f"{value:.6g}" if isinstance(value, float) else str(value)) for name, value in rows]
-    return [f"| {first} | {second} |", "|---|---|", *(f"| {name} | {value} |" for name, value in cells)]
+    return [f"| {first} | {second} |", "|---|---|", *(f"| {name} | {_cell(value)} |" for name, value in rows)]
+
+
+def _cell(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _frames(count: int) -> str:

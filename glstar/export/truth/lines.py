@@ -27,6 +27,8 @@ Numbers = NDArray[np.int64]
 # The beginning of a line: its schema and frame number.
 _LINE = re.compile(rb'\{"schema":"' + SCHEMA.encode() + rb'","frame":(\d{1,18}),')
 _BLOCK_BYTES = 1 << 22
+# Signal-to-noise ratio above which a matched filter detects a trail with few false alarms.
+DETECTABLE_SNR = 10.0
 
 
 class TruthFile:
