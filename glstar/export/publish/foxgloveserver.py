@@ -13,7 +13,6 @@ topic               schema                      content
 Times are UTC of the middle of the exposure, which is also the time of the server.
 """
 
-import re
 from typing import Any, Self
 
 import numpy as np
@@ -25,6 +24,7 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import encode
 from glstar.export.imagefiles.processing import shown_as_8_bits
+from glstar.export.publish.stream import host_and_port
 from glstar.export.truth.overlays import (
     BODY,
     CAMERA,
@@ -43,8 +43,6 @@ from glstar.export.truth.overlays import (
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.installation import install_command
 
-_ADDRESS = re.compile(r"(?:ws://)?(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
-_LOOPBACK = "127.0.0.1"
 # Foxglove's name of the lens that ROS calls equidistant.
 _MODELS = {"equidistant": "kannala_brandt"}
 
@@ -180,10 +178,10 @@ class FoxgloveServer:
 
 def foxglove_address(where: str) -> tuple[str, int]:
     """Return the host and port of ``PORT`` or ``HOST:PORT``; raises ConfigError if they are not valid."""
-    parts = _ADDRESS.fullmatch(where)
-    if parts is None or not 0 < int(parts[2]) < 65536:
+    address = host_and_port(where.removeprefix("ws://"), "")
+    if address is None:
         raise ConfigError(f"--foxglove {where} is no address; write a port such as 8765, or HOST:PORT")
-    return (parts[1] or _LOOPBACK).strip("[]"), int(parts[2])
+    return address[0].strip("[]"), address[1]
 
 
 def _library() -> Any:

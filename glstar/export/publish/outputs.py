@@ -9,7 +9,6 @@ Windows and macOS to OBS.
 """
 
 import io
-import re
 import select
 import socket
 import time
@@ -30,13 +29,11 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.processing import CameraProcessing, encode_jpeg, shown_as_8_bits
 from glstar.export.publish.latest import LatestFrameWriter
-from glstar.export.publish.stream import STREAM, FrameStream
+from glstar.export.publish.stream import LOOPBACK, STREAM, FrameStream, host_and_port
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.installation import install_command
 
 HTTP = "http://"
-_ADDRESS = re.compile(r"http://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
-_LOOPBACK = "127.0.0.1"
 _BOUNDARY = "glstar-frame"
 # Interval at which the thread of a waiting client checks if the server or the client has ended, s.
 _POLL_INTERVAL_S = 0.25
@@ -255,8 +252,8 @@ class PageServer:
     """Serves one XML document on this computer, under any path, at a port that is free; a context manager."""
 
     def __init__(self, content: bytes) -> None:
-        self._server = _Server((_LOOPBACK, 0), _PageClient, _Latest(), content)
-        self.address = f"{HTTP}{_LOOPBACK}:{self._server.server_port}"
+        self._server = _Server((LOOPBACK, 0), _PageClient, _Latest(), content)
+        self.address = f"{HTTP}{LOOPBACK}:{self._server.server_port}"
         self._thread = Thread(target=self._server.serve_forever, name="glstar-page", daemon=True)
         self._thread.start()
 
@@ -278,10 +275,10 @@ def _host_of(named: str) -> str:
 
 
 def _address(where: str) -> tuple[str, int]:
-    parts = _ADDRESS.fullmatch(where)
-    if parts is None or not 0 < int(parts[2]) < 65536:
+    address = host_and_port(where, HTTP)
+    if address is None:
         raise ConfigError(f"{where} is no address; write http://HOST:PORT, or http://PORT for this computer")
-    return (parts[1] or _LOOPBACK).strip("[]"), int(parts[2])
+    return address[0].strip("[]"), address[1]
 
 
 VIDEO = "video:"

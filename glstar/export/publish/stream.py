@@ -35,8 +35,9 @@ from glstar.system.installation import install_command
 
 FRAME_SCHEMA = "glstar-frame-1"
 STREAM = "zmq://"
-_ADDRESS = re.compile(r"zmq://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
-_LOOPBACK = "127.0.0.1"
+_ADDRESS = re.compile(r"(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
+# Servers are for programs on this computer unless a host is named.
+LOOPBACK = "127.0.0.1"
 # Frames that wait for a slow subscriber before further ones are dropped.
 _WAITING = 2
 # Interval at which the end is looked for, ms.
@@ -258,10 +259,21 @@ class _BoundSocket:
 
 def _address(where: str, option: str) -> str:
     """Return the address that ZeroMQ takes."""
-    parts = _ADDRESS.fullmatch(where)
-    if parts is None or not 0 < int(parts[2]) < 65536:
+    address = host_and_port(where, STREAM)
+    if address is None:
         raise ConfigError(f"{option} {where} is no address; write zmq://HOST:PORT, or zmq://PORT for this computer")
-    return f"tcp://{parts[1] or _LOOPBACK}:{parts[2]}"
+    return "tcp://{}:{}".format(*address)
+
+
+def host_and_port(where: str, scheme: str) -> tuple[str, int] | None:
+    """Return the host and the port of ``PORT`` or ``HOST:PORT`` after a scheme; None if they are not valid.
+
+    Numbers of IPv6 keep their brackets; without a host it is this computer.
+    """
+    parts = _ADDRESS.fullmatch(where.removeprefix(scheme)) if where.startswith(scheme) else None
+    if parts is None or not 0 < int(parts[2]) < 65536:
+        return None
+    return parts[1] or LOOPBACK, int(parts[2])
 
 
 def _library() -> ModuleType:

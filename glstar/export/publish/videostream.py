@@ -20,13 +20,13 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
 from glstar.export.imagefiles.processing import shown_as_8_bits
+from glstar.export.publish.stream import LOOPBACK
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.installation import install_command
 
 RTP = "rtp://"
 RTP_PORT = 5600
 _ADDRESS = re.compile(r"rtp://(?:(\d{1,5})|(\[[0-9a-fA-F:]+\]|[^:/\[\]]+)(?::(\d{1,5}))?)?/?")
-_LOOPBACK = "127.0.0.1"
 _SUFFIXES = {".ts", ".m2ts"}
 _PAYLOAD_TYPE = 96
 # RFC 6184: the clock of H.264, Hz.
@@ -55,7 +55,7 @@ class RtpAddress(NamedTuple):
         port = RTP_PORT if parts is None else int(parts[1] or parts[3] or RTP_PORT)
         if parts is None or not 0 < port < 65535:  # the port above is that of RTCP
             raise ConfigError(f"{where} is no address; write rtp://HOST:PORT, or rtp://PORT for this computer")
-        return cls((parts[2] or _LOOPBACK).strip("[]"), port)
+        return cls((parts[2] or LOOPBACK).strip("[]"), port)
 
     @property
     def sdp(self) -> str:
@@ -130,7 +130,7 @@ class VideoStream:
             self._file.metadata.update(service_provider="glstar", service_name=f"from {utc}")
         else:
             host, port = self.address
-            own = f"&localaddr={_LOOPBACK}" if host == _LOOPBACK else ""
+            own = f"&localaddr={LOOPBACK}" if host == LOOPBACK else ""
             url = f"rtp://{f'[{host}]' if ':' in host else host}:{port}?pkt_size={_PACKET_BYTES}{own}"
             # By the reports of RTCP the time stamps are UTC.
             options = {"payload_type": str(_PAYLOAD_TYPE), "start_time_realtime": str(round(start_s * 1e6))}
