@@ -20,6 +20,10 @@ Verbose = Annotated[
 ]
 
 
+# Suffixes of the files that ``--plot`` writes.
+PLOT_FORMATS = (".png", ".svg", ".pdf")
+
+
 class Verbosity(IntEnum):
     """What a command writes beside its result, its warnings and its errors."""
 
@@ -56,12 +60,6 @@ def echo_detail(message: str) -> None:
     """Write a detail to standard error if the command is verbose."""
     if verbosity() is Verbosity.VERBOSE:
         typer.echo(message, err=True)
-
-
-def require_plot_suffix(plot: Path | None) -> None:
-    """Raise typer.BadParameter if the file of ``--plot`` is not named as a format of plots."""
-    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise typer.BadParameter(f"{plot} must end with .png, .svg or .pdf", param_hint="--plot")
 
 
 @contextmanager

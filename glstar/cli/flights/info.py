@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
-from glstar.cli.reporting import echo_note, with_verbosity
+from glstar.cli.reporting import PLOT_FORMATS, echo_note, with_verbosity
 from glstar.cli.tables import print_table
 from glstar.config import Config
 from glstar.errors import ExportError, LogFormatError
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 _GAPS_LISTED = 5
 # Width of what is written of one log to a pipe, characters.
 _PIPE_COLUMNS = 140
-_PLOT_FORMATS = (".png", ".svg", ".pdf")
 # A larger step between two samples of an angle is a wrap-around, deg.
 _WRAP_DEG = 180.0
 
@@ -333,8 +332,8 @@ def _plot(flight: Flight, survey: Survey, path: Path) -> None:
 
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415
 
-    if path.suffix.lower() not in _PLOT_FORMATS:
-        raise ExportError(path, f"is not a supported image format; it must end with {', '.join(_PLOT_FORMATS)}")
+    if path.suffix.lower() not in PLOT_FORMATS:
+        raise ExportError(path, f"is not a supported image format; it must end with {', '.join(PLOT_FORMATS)}")
     track = flight.attitude
     t = track.utc_s - track.first_s
     figure = Figure(figsize=(12, 8), layout="constrained")

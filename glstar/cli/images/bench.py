@@ -2,25 +2,25 @@
 
 import json
 import shlex
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.reporting import echo_note, progress_bar, require_plot_suffix, with_verbosity
+from glstar.cli.images.exportoptions import local_executor, resumable
+from glstar.cli.reporting import PLOT_FORMATS, echo_note, progress_bar, with_verbosity
+from glstar.cli.tables import print_table
 from glstar.system.files import write_atomically
-from glstar.system.process import exit_on_interrupt, exit_status
+from glstar.system.process import exit_on_interrupt
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from glstar.export.run.executors import Executor
     from glstar.score.sets import MadeSet
 
 app = typer.Typer(help="NightSky-Bench: draw named sets of frames, run solvers on them, compare.", no_args_is_help=True)
+
+# Width of the list of sets that is written to a pipe, characters.
+_PIPE_COLUMNS = 120
 
 Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
@@ -44,7 +44,7 @@ def sets(*, as_json: Json = False) -> None:
     table = Table("set", "shows", box=None)
     for one in recipes:
         table.add_row(one.name, f"{one.title}. {one.about}")
-    Console(width=None if Console().is_terminal else 120, highlight=False).print(table)
+    print_table(table, pipe_columns=_PIPE_COLUMNS)
 
 
 @app.command()
@@ -69,12 +69,13 @@ def make(
 
     size = "full" if full else "small"
     chosen = recipe(name)
-    try:
-        with explain_disk_errors(output), _executor(workers) as executor, progress_bar("frames") as on_frame:
-            made = make_set(chosen, size, output, executor, on_part=_announce, on_frame=on_frame)
-    except KeyboardInterrupt as interrupt:
-        typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(exit_status(interrupt)) from None
+    with (
+        resumable(),
+        explain_disk_errors(output),
+        local_executor(workers) as executor,
+        progress_bar("frames") as on_frame,
+    ):
+        made = make_set(chosen, size, output, executor, on_part=_announce, on_frame=on_frame)
     reference = reference_of(name, size)
     difference = None if reference is None else difference_from(made, reference)
     if as_json:
@@ -92,21 +93,6 @@ def _verdict(made: "MadeSet", *, published: bool, difference: str | None) -> str
     if not published:
         return f"no checksums of {made.name}, {made.size} are published; those of {made.driver} are in set.json"
     return "every pixel as in the published set" if difference is None else f"note: {difference}"
-
-
-@contextmanager
-def _executor(workers: int) -> "Iterator[Executor]":
-    """Open an executor with one or several processes."""
-    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
-
-    if workers > 1:
-        with ProcessExecutor(workers) as processes:
-            yield processes
-    else:
-        with GLRenderer.headless() as renderer:
-            yield SerialExecutor(renderer)
 
 
 @app.command()
@@ -183,7 +169,8 @@ def table(
     from glstar.score.board import draw_board, group_rows, in_order, markdown, summary_rows  # noqa: PLC0415
     from glstar.score.runs import read_result  # noqa: PLC0415 - OpenCV
 
-    require_plot_suffix(plot)
+    if plot is not None and plot.suffix.lower() not in PLOT_FORMATS:
+        raise typer.BadParameter(f"{plot} must end with .png, .svg or .pdf", param_hint="--plot")
     read = in_order([read_result(path) for path in results])
     if as_json:
         text = json.dumps(read) + "\n"

@@ -4,7 +4,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict
 from math import asin, degrees
 from pathlib import Path
@@ -21,7 +21,7 @@ from glstar.flight import DATA_GAP
 from glstar.render.truth.conditions import conditions_report
 from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.sky.place.timescale import earth_orientation_note, has_earth_orientation
-from glstar.system.process import exit_on_interrupt, exit_status
+from glstar.system.process import exit_on_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from glstar.config import Config
     from glstar.export.frame import EncodedFrame, FrameTask
     from glstar.export.plan.frames import ExportOptions, Frames, Shot, SkippedFrame
-    from glstar.export.run.executors import Checker, Executor, OnPixels
+    from glstar.export.run.executors import Executor, OnPixels
     from glstar.export.run.export import Export, ExportReport, Shard
 
 
@@ -222,17 +222,14 @@ def _draw(
 ) -> "tuple[ExportReport, float]":
     """Draw and write the missing frames, with a progress bar; return the report and the time taken, s."""
     began_s = time.monotonic()
-    try:
-        with (
-            passed_on as on_pixels,
-            _executor(job, workers, dask, on_pixels) as executor,
-            progress_bar("frames") as on_frame,
-        ):
-            target = output.target(job)
-            report = target.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
-    except KeyboardInterrupt as interrupt:
-        typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(exit_status(interrupt)) from None
+    with (
+        options.resumable(),
+        passed_on as on_pixels,
+        _executor(job, workers, dask, on_pixels) as executor,
+        progress_bar("frames") as on_frame,
+    ):
+        target = output.target(job)
+        report = target.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
     return report, time.monotonic() - began_s
 
 
@@ -253,18 +250,10 @@ def _finish(
 
 def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw all frames again, list the files that differ, and exit with status 1 if there are any."""
-    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV
     from glstar.export.run.verify import verify  # noqa: PLC0415 - OpenCV
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     began_s = time.monotonic()
-    with ExitStack() as opened:
-        on_frame = opened.enter_context(progress_bar("frames"))
-        if workers > 1:
-            executor: Checker = opened.enter_context(ProcessExecutor(workers))
-        else:
-            executor = SerialExecutor(opened.enter_context(GLRenderer.headless()))
+    with progress_bar("frames") as on_frame, options.local_executor(workers) as executor:
         outcome = verify(job, executor, shard=shard, on_frame=on_frame)
         driver = outcome.drawn_by
     if as_json:
@@ -305,23 +294,18 @@ def _executor(
     job: "Export", workers: int, dask: str | None, on_pixels: "OnPixels | None" = None
 ) -> "Iterator[Executor]":
     """Open the executor that the options ask for."""
-    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
-
     if dask is not None:
         with options.needing("cluster"):
             from glstar.export.run.cluster import DaskExecutor  # noqa: PLC0415 - an extra
         with DaskExecutor(dask, job.task) as cluster:
             yield cluster
-    elif workers > 1:
+        return
+    if workers > 1:
         echo_detail(f"{workers} processes draw")
-        with ProcessExecutor(workers) as processes:
-            yield processes
-    else:
-        with GLRenderer.headless() as renderer:
-            echo_detail(f"drawn by {renderer.driver}")
-            yield SerialExecutor(renderer, on_pixels=on_pixels)
+    with options.local_executor(workers, on_pixels) as local:
+        if workers <= 1:
+            echo_detail(f"drawn by {local.driver}")
+        yield local
 
 
 def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
