@@ -151,7 +151,7 @@ class CameraComponent:
         # What the user should know; taken from the left by the link.
         self.messages: deque[str] = deque()
         self._of_streams = {m.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION, m.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS}
-        self._numbers = {m.MAVLINK_MSG_ID_COMMAND_LONG, m.MAVLINK_MSG_ID_COMMAND_INT}
+        self._numbers = {m.MAVLINK_MSG_ID_COMMAND_LONG, m.MAVLINK_MSG_ID_COMMAND_INT, *self._parameters.numbers}
         self._makers: dict[int, Callable[[_Now], Any]] = {
             m.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
             m.MAVLINK_MSG_ID_CAMERA_SETTINGS: self._settings,
@@ -187,8 +187,7 @@ class CameraComponent:
 
     def receive(self, packet: Packet, receiver: Receiver, now_s: float) -> None:
         """Process a packet that arrived at a time by `time.monotonic`, s; other than commands to it are ignored."""
-        numbers = self._numbers | self._parameters.numbers
-        if packet.number not in numbers or receiver.chosen is None:
+        if packet.number not in self._numbers or receiver.chosen is None:
             return
         try:
             command = self._decode(bytearray(packet.content))
