@@ -43,14 +43,9 @@ class OtherLog:
         mid_s, attitude = scene.exposure.mid_utc_s, self.flight.attitude
         if not attitude.first_s <= mid_s <= attitude.last_s or attitude.gap_within(mid_s, mid_s) is not None:
             return Belief(self.name, lacking="nothing at this time")
-        q_body_ned = attitude.at(np.array([mid_s]))[0]
-        roll, pitch, _ = euler_from_quaternion(q_body_ned)
-        C_estimated_ned = C_camera_body @ matrix_from_quaternion(q_body_ned)
-        q_shown = simulator.flight.attitude.at(np.array([mid_s]))[0]
-        C_camera_estimated = simulator.mount.C_camera_body @ matrix_from_quaternion(q_shown) @ C_estimated_ned.T
-        at = self.flight.position.at(mid_s)
-        offset_km = surface_offset_km(simulator.flight.position.at(mid_s), at.latitude_rad, at.longitude_rad)
-        return Belief(self.name, C_camera_estimated, C_estimated_ned, float(roll), float(pitch), offset_km)
+        q_body_ned, at = attitude.at(np.array([mid_s]))[0], self.flight.position.at(mid_s)
+        place_rad = at.latitude_rad, at.longitude_rad
+        return _against_truth(self.name, q_body_ned, q_body_ned, C_camera_body, simulator, mid_s, place_rad)
 
 
 class NavigatorView:
@@ -157,15 +152,30 @@ def _estimate(
     """Return an estimate against the truth in the middle of an exposure; its position only if it can differ."""
     q_platform = np.array(record["q_body_ned"]["middle"])
     q_aircraft = np.array(record["gimbal"]["q_aircraft_ned"]["middle"]) if "gimbal" in record else q_platform
-    roll, pitch, _ = euler_from_quaternion(q_aircraft)
-    C_estimated_ned = C_camera_body @ matrix_from_quaternion(q_platform)
-    q_body_ned = simulator.flight.attitude.at(np.array([scene.exposure.mid_utc_s]))[0]
-    C_camera_estimated = simulator.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_estimated_ned.T
-    place, offset_km = record["position"], None
+    place, place_rad = record["position"], None
     if has_position and place is not None:
-        site = simulator.flight.position.at(scene.exposure.mid_utc_s)
-        offset_km = surface_offset_km(site, *np.deg2rad([place["latitude_deg"], place["longitude_deg"]]).tolist())
-    return Belief("estimate", C_camera_estimated, C_estimated_ned, float(roll), float(pitch), offset_km)
+        latitude_rad, longitude_rad = np.deg2rad([place["latitude_deg"], place["longitude_deg"]]).tolist()
+        place_rad = latitude_rad, longitude_rad
+    mid_s = scene.exposure.mid_utc_s
+    return _against_truth("estimate", q_platform, q_aircraft, C_camera_body, simulator, mid_s, place_rad)
+
+
+def _against_truth(
+    name: str,
+    q_platform_ned: Float,
+    q_aircraft_ned: Float,
+    C_camera_body: Float,
+    simulator: Simulator,
+    utc_s: float,
+    place_rad: tuple[float, float] | None,
+) -> Belief:
+    """Return an estimated attitude and place, latitude and longitude, against the truth at a time, UTC s."""
+    roll, pitch, _ = euler_from_quaternion(q_aircraft_ned)
+    C_estimated_ned = C_camera_body @ matrix_from_quaternion(q_platform_ned)
+    q_body_ned = simulator.flight.attitude.at(np.array([utc_s]))[0]
+    C_camera_estimated = simulator.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_estimated_ned.T
+    offset_km = None if place_rad is None else surface_offset_km(simulator.flight.position.at(utc_s), *place_rad)
+    return Belief(name, C_camera_estimated, C_estimated_ned, float(roll), float(pitch), offset_km)
 
 
 def _answered(answer: PlacedAnswer, simulator: Simulator, scene: Scene) -> Belief:
