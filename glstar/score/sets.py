@@ -4,8 +4,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from glstar.export.navigator import blind_phase_s, estimates, publish_blind, wri
 from glstar.export.plan.frames import ExportOptions
 from glstar.export.run.executors import Executor
 from glstar.export.run.export import Export
-from glstar.export.run.prepare import prepare_data_set, prepare_export
+from glstar.export.run.prepare import prepare_data_set
 from glstar.export.truth.datacard import write_card
 from glstar.export.truth.lines import read_truth
 from glstar.export.truth.splits import SplitRule, write_splits
@@ -36,8 +35,6 @@ FRAMES, TRUTH, RECIPES = "frames", "truth", "recipes"
 _CHECKSUMS = "checksums.json"
 _LARGEST_BYTES = 2**20
 _SHARES = (0.6, 0.2, 0.2)
-# Draws one part into its executor's frames; with the number of finished frames and of all frames.
-OnFrame = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +69,6 @@ class Recipe:
             config: dict[str, Any] = {}
             for layer in layers:
                 config = _merged(config, layer.get("config", {}))
-                config = _merged(config, {"sweep": layer["sweep"]} if "sweep" in layer else {})
             frames = next((layer["frames"] for layer in reversed(layers) if "frames" in layer), None)
             yield Part(part["name"], config, frames)
 
@@ -91,7 +87,6 @@ def set_names() -> list[str]:
     return sorted(path.stem for path in asset("sets").glob("*.toml"))
 
 
-@cache
 def recipe(name: str) -> Recipe:
     """Return a set by its name; raises ConfigError if there is none."""
     if name not in set_names():
@@ -130,10 +125,6 @@ class MadeSet:
     @property
     def json(self) -> dict[str, Any]:
         """``set.json``."""
-        parts = {
-            name: {"frames": sums.frames, "pixels_sha256": sums.pixels_sha256, "light_dn": sums.light_dn}
-            for name, sums in self.parts.items()
-        }
         return {
             "schema": SCHEMA,
             "set": self.name,
@@ -141,7 +132,7 @@ class MadeSet:
             "version": self.version,
             "glstar": self.glstar,
             "driver": self.driver,
-            "parts": parts,
+            "parts": {name: asdict(sums) for name, sums in self.parts.items()},
         }
 
     @classmethod
@@ -150,15 +141,20 @@ class MadeSet:
         path = directory / SET_FILE
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
-            parts = {_part_name(name): PartSums(**sums) for name, sums in found["parts"].items()}
-            named = (found["set"], found["size"], found["version"], found["driver"], found["glstar"])
+            made = cls.of(directory, found["set"], found["size"], found)
         except FileNotFoundError:
             raise ExportError(directory, f"holds no {SET_FILE}: make a set with glstar bench make") from None
         except OSError as error:
             raise ExportError(path, f"cannot be read ({error.strerror})") from None
         except (ValueError, TypeError, KeyError, AttributeError):
             raise ExportError(path, "is not as glstar bench make writes it; make the set again") from None
-        return cls(directory, *named, parts)
+        return made
+
+    @classmethod
+    def of(cls, directory: Path, name: str, size: str, found: Mapping[str, Any]) -> "MadeSet":
+        """Return a set from its version, driver and checksums, as they are in JSON."""
+        parts = {_part_name(part): PartSums(**sums) for part, sums in found["parts"].items()}
+        return cls(directory, name, size, found["version"], found["driver"], found["glstar"], parts)
 
 
 def _part_name(name: str) -> str:
@@ -175,12 +171,12 @@ def make_set(
     executor: Executor,
     *,
     on_part: Callable[[str], None],
-    on_frame: OnFrame,
+    on_frame: Callable[[int, int], None],
 ) -> MadeSet:
     """Draw the missing frames of a set, and write the solver's files, splits, cards and checksums of each part.
 
-    `on_part` is called with the name of each part that begins. Raises ExportError if the directory holds another set
-    or cannot be written.
+    `on_part` is called with the name of each part that begins, `on_frame` with the number of finished frames and of all
+    frames of the part. Raises ExportError if the directory holds another set or cannot be written.
     """
     _refuse_another(made, size, directory)
     parts: dict[str, PartSums] = {}
@@ -209,9 +205,7 @@ def _prepared(part: Part, seed: int, directory: Path) -> tuple[Export, Config, P
     flight = Path(described)
     options = ExportOptions(blind_phase_s(config), frames=part.frames, seed=seed)
     where = directory / TRUTH / part.name
-    if config.sweep:
-        return prepare_data_set(config, [flight], where, options), config, flight
-    return prepare_export(config, flight, where, options), config, flight
+    return prepare_data_set(config, [flight], where, options), config, flight
 
 
 def _refuse_another(made: Recipe, size: str, directory: Path) -> None:
@@ -254,10 +248,7 @@ def reference_of(name: str, size: str) -> MadeSet | None:
     """Return the published checksums of a set; None if there are none."""
     published = json.loads(asset(f"sets/{_CHECKSUMS}").read_text(encoding="utf-8"))
     found = published.get(f"{name}-{size}")
-    if found is None:
-        return None
-    parts = {part: PartSums(**sums) for part, sums in found["parts"].items()}
-    return MadeSet(Path(), name, size, found["version"], found["driver"], found["glstar"], parts)
+    return None if found is None else MadeSet.of(Path(), name, size, found)
 
 
 def difference_from(made: MadeSet, reference: MadeSet) -> str | None:

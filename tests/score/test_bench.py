@@ -64,7 +64,7 @@ TINY = {
     "frames": 1,
     "part": [
         {"name": "dark"},
-        {"name": "bright", "config": {"sensor": {"sky_mean_dn": 60.0}}, "full": {"sweep": {"draws": 2}}},
+        {"name": "bright", "config": {"sensor": {"sky_mean_dn": 60.0}}, "full": {"config": {"sweep": {"draws": 2}}}},
     ],
 }
 
