@@ -14,6 +14,8 @@ from typing import Annotated, Any, TextIO
 
 import typer
 
+from glstar.system.process import exit_status
+
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no notes; results and errors only.")]
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="More on standard error: the driver, and progress without a terminal.")
@@ -117,6 +119,16 @@ def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
     parameters = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in own.parameters.values()]
     reported.__signature__ = own.replace(parameters=parameters + flags)  # type: ignore[attr-defined]
     return reported
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """End the command if it is interrupted, and say that it goes on when it is run again."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        typer.echo("glstar: stopped; run the same command again to go on", err=True)
+        raise typer.Exit(exit_status(interrupt)) from None
 
 
 @contextmanager

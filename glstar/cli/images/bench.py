@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from glstar.cli.images.exportoptions import local_executor, resumable
-from glstar.cli.reporting import PLOT_FORMATS, echo_note, progress_bar, with_verbosity
+from glstar.cli.reporting import PLOT_FORMATS, echo_note, progress_bar, resumable, with_verbosity
 from glstar.cli.tables import print_table
 from glstar.system.files import write_atomically
 from glstar.system.process import exit_on_interrupt
@@ -65,6 +64,7 @@ def make(
     """
     with exit_on_interrupt():
         from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV
+        from glstar.export.run.processes import local_executor  # noqa: PLC0415 - OpenCV
         from glstar.score.sets import difference_from, make_set, recipe, reference_of  # noqa: PLC0415 - OpenCV
 
     size = "full" if full else "small"

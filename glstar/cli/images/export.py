@@ -16,7 +16,7 @@ import typer
 from glstar.camera.mounts import mount_label
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, note_swept, with_flight_flags
 from glstar.cli.images import exportoptions as options
-from glstar.cli.reporting import echo_detail, echo_note, progress_bar, with_verbosity
+from glstar.cli.reporting import echo_detail, echo_note, progress_bar, resumable, with_verbosity
 from glstar.flight import DATA_GAP
 from glstar.render.truth.conditions import conditions_report
 from glstar.sky.observed.stars import sun_altitude_rad
@@ -223,7 +223,7 @@ def _draw(
     """Draw and write the missing frames, with a progress bar; return the report and the time taken, s."""
     began_s = time.monotonic()
     with (
-        options.resumable(),
+        resumable(),
         passed_on as on_pixels,
         _executor(job, workers, dask, on_pixels) as executor,
         progress_bar("frames") as on_frame,
@@ -250,10 +250,11 @@ def _finish(
 
 def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw all frames again, list the files that differ, and exit with status 1 if there are any."""
+    from glstar.export.run.processes import local_executor  # noqa: PLC0415 - OpenCV
     from glstar.export.run.verify import verify  # noqa: PLC0415 - OpenCV
 
     began_s = time.monotonic()
-    with progress_bar("frames") as on_frame, options.local_executor(workers) as executor:
+    with progress_bar("frames") as on_frame, local_executor(workers) as executor:
         outcome = verify(job, executor, shard=shard, on_frame=on_frame)
         driver = outcome.drawn_by
     if as_json:
@@ -294,6 +295,8 @@ def _executor(
     job: "Export", workers: int, dask: str | None, on_pixels: "OnPixels | None" = None
 ) -> "Iterator[Executor]":
     """Open the executor that the options ask for."""
+    from glstar.export.run.processes import local_executor  # noqa: PLC0415 - OpenCV
+
     if dask is not None:
         with options.needing("cluster"):
             from glstar.export.run.cluster import DaskExecutor  # noqa: PLC0415 - an extra
@@ -302,7 +305,7 @@ def _executor(
         return
     if workers > 1:
         echo_detail(f"{workers} processes draw")
-    with options.local_executor(workers, on_pixels) as local:
+    with local_executor(workers, on_pixels) as local:
         if workers <= 1:
             echo_detail(f"drawn by {local.driver}")
         yield local

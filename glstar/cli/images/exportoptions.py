@@ -19,7 +19,6 @@ from glstar.errors import ExportError
 from glstar.export.publish.stream import STREAM
 from glstar.system.files import write_atomically
 from glstar.system.installation import install_command
-from glstar.system.process import exit_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,9 +28,8 @@ if TYPE_CHECKING:
     from glstar.camera.sensor.sensor import Sensor
     from glstar.config import Config
     from glstar.export.publish.outputs import FrameOutput
-    from glstar.export.run.executors import OnPixels, SerialExecutor
+    from glstar.export.run.executors import OnPixels
     from glstar.export.run.export import Export
-    from glstar.export.run.processes import ProcessExecutor
     from glstar.export.run.store import StoreExport
 
 # Frames for which one more worker process saves time, although it needs a second to start.
@@ -342,31 +340,6 @@ def refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) -> 
             f"a video has frames of one size, and {', '.join(keys)} of [sweep] makes images of {listed}; leave out"
             " --video, or export each size to a directory of its own",
         )
-
-
-@contextmanager
-def local_executor(workers: int, on_pixels: "OnPixels | None" = None) -> "Iterator[ProcessExecutor | SerialExecutor]":
-    """Open an executor with several processes, or with this one, which passes pixels on."""
-    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
-
-    if workers > 1:
-        with ProcessExecutor(workers) as processes:
-            yield processes
-    else:
-        with GLRenderer.headless() as renderer:
-            yield SerialExecutor(renderer, on_pixels=on_pixels)
-
-
-@contextmanager
-def resumable() -> "Iterator[None]":
-    """End the command if it is interrupted, and say that it goes on when it is run again."""
-    try:
-        yield
-    except KeyboardInterrupt as interrupt:
-        typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(exit_status(interrupt)) from None
 
 
 class NavigatorFiles:

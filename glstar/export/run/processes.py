@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from glstar.errors import ExportError, GlstarError
 from glstar.export.directory import explain_disk_errors
 from glstar.export.frame import CheckedFrame, FrameTask
-from glstar.export.run.executors import available_processors, check_frames, draw_frames, split_into_chunks
+from glstar.export.run.executors import (
+    OnPixels,
+    SerialExecutor,
+    available_processors,
+    check_frames,
+    draw_frames,
+    split_into_chunks,
+)
 from glstar.export.truth.lines import TruthFile
 from glstar.render.scene.scene import Renderer
 from glstar.system.process import defer_interrupts
@@ -333,3 +340,16 @@ def _frames(renderer: Renderer, task: FrameTask, chunk: _Chunk) -> Iterator[_Fra
         truth = TruthFile(task.directory, chunk.shard_label)
         for number in draw_frames(task, renderer, chunk.numbers, truth, as_part=True, encoder_threads=threads):
             yield _FrameDone(number)
+
+
+@contextmanager
+def local_executor(workers: int, on_pixels: OnPixels | None = None) -> Iterator[ProcessExecutor | SerialExecutor]:
+    """Open an executor with several processes, or with this one, which calls `on_pixels` as `SerialExecutor` does."""
+    if workers > 1:
+        with ProcessExecutor(workers) as processes:
+            yield processes
+        return
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, where this process draws
+
+    with GLRenderer.headless() as renderer:
+        yield SerialExecutor(renderer, on_pixels=on_pixels)
