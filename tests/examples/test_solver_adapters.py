@@ -1,4 +1,4 @@
-"""What `glstar manual solvers` states, and the adapters of four solvers on frames of glstar."""
+"""What `glstar manual solvers` states, and the adapters of five solvers on frames of glstar."""
 
 import json
 import math
@@ -19,7 +19,13 @@ from tests.examples import solver_adapters
 
 ADAPTERS = Path(solver_adapters.__file__)
 CONFIG = (ADAPTERS.parent / "solvers.toml").read_text(encoding="utf-8")
-MODULES = {"tetra3rs": "tetra3rs", "cedar-solve": "tetra3", "zenith-fixer": "zenith", "astrometry": "astrometry"}
+MODULES = {
+    "tetra3rs": "tetra3rs",
+    "cedar-solve": "tetra3",
+    "zenith-fixer": "zenith",
+    "ruststartracker": "ruststartracker, typing_extensions",
+    "astrometry": "astrometry",
+}
 Row = dict[str, Any]
 
 

@@ -235,16 +235,15 @@ def test_csv_has_the_columns_of_every_frame(export: Path, tmp_path: Path) -> Non
 def test_memory_does_not_grow_with_the_number_of_frames(export: Path, tmp_path: Path, suffix: str) -> None:
     write = {"csv": write_csv, "srt": lambda *paths: write_subtitles(*paths, frames_per_s=10.0)}[suffix]
     peaks = []
-    for frames in (400, 1000):
-        folder = long_set(export, tmp_path / f"{frames}-{len(peaks)}", frames)
+    for frames in (3, 400, 1000):  # the first run fills caches
+        folder = long_set(export, tmp_path / f"{frames}", frames)
         tracemalloc.start()
-        write(folder, tmp_path / f"{len(peaks)}.{suffix}")
+        write(folder, tmp_path / f"{frames}.{suffix}")
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    # Each line of truth is written again, to find keys that are there twice: 20 KB, whatever the number of lines.
-    allowed = {"csv": 220_000, "srt": 200_000}[suffix]
-    assert peaks[1] < allowed, "bytes; 1000 subtitles have 250 KB, and 1000 lines of truth 2 MB"
-    assert peaks[1] < peaks[0] + 20_000
+    # 600 more subtitles have 150 KB, and 600 more lines of truth 1.2 MB; what one line and the files' buffers take
+    # depends on the system.
+    assert peaks[2] < peaks[1] + 20_000, "bytes"
 
 
 @pytest.mark.parametrize("kind", ["png", "jpeg"])
