@@ -53,6 +53,7 @@ class _Terminator:
     """A handler of `TERMINATING` that raises `Terminated`."""
 
     def __init__(self) -> None:
+        self.has_ended = False  # the command, so that the rest is its orderly exit
         self._ignored_until_s = -1.0
         # Streams whose terminal may be closed.
         self._terminals = [handle for handle in (1, 2) if os.isatty(handle)]
@@ -61,6 +62,7 @@ class _Terminator:
         now_s = time.monotonic()
         if now_s < self._ignored_until_s:
             return
+        self.has_ended = True
         self._ignored_until_s = now_s + _REPEATED_S
         if number != signal.SIGTERM:
             self._leave_terminals()
@@ -130,9 +132,15 @@ def defer_interrupts() -> Iterator[None]:
 
 
 def default_signals() -> None:
-    """Let signals end the process without Python: nothing is left to be written."""
+    """Let signals end the process without Python: nothing is left to be written.
+
+    After a signal has ended the command, a repeated one must not replace its exit status: it is ignored.
+    """
     for number in _ENDING:
-        if _ends_the_command(signal.getsignal(number)):
+        handler = signal.getsignal(number)
+        if isinstance(handler, _Terminator) and handler.has_ended:
+            signal.signal(number, signal.SIG_IGN)
+        elif _ends_the_command(handler):
             signal.signal(number, signal.SIG_DFL)
 
 
