@@ -205,6 +205,8 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None, bool
     try:
         tiff = tifffile.TiffFile(BytesIO(content))
         page = _full_page(tiff)
+        # A tag of several values, where the format has one, is damage too: only numbers have a sum.
+        sum((page.imagewidth, page.imagelength, page.samplesperpixel, page.bitspersample))
     except Exception:  # damage: OpenCV is tried next
         return None, None, False, content
     refuse_many_pixels(page.imagewidth, page.imagelength)

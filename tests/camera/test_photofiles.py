@@ -1,6 +1,8 @@
 """Images of strangers: their pixels as the sensor read them, their bits and their EXIF, in every container."""
 
+import struct
 import sys
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -135,6 +137,24 @@ def test_a_tiff_with_a_thumbnail_first_is_read_at_its_full_size(tmp_path: Path) 
         writer.write(LEVELS)
 
     np.testing.assert_array_equal(read_grey(tmp_path / "one.tiff"), LEVELS)
+
+
+@pytest.mark.parametrize("tag", [256, 257, 258, 277])
+def test_a_tag_of_a_tiff_with_two_values_for_one_is_damage(tmp_path: Path, tag: int) -> None:
+    """Widths, heights, bits and samples a pixel; the other reader of TIFF files decides."""
+    path = tmp_path / "one.tiff"
+    tifffile.imwrite(path, LEVELS)
+    with tifffile.TiffFile(path) as tiff:
+        at = tiff.pages[0].tags[tag].offset
+    content = bytearray(path.read_bytes())
+    content[at + 2 : at + 8] = struct.pack("<HI", 3, 2)  # two unsigned shorts
+    path.write_bytes(content)
+
+    pixels = None
+    with suppress(CalibrationError):
+        pixels = read_image(path).pixels_dn
+
+    assert pixels is None or np.array_equal(pixels, LEVELS)
 
 
 def test_white_is_zero_of_a_tiff_is_inverted(tmp_path: Path) -> None:

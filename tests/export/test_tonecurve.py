@@ -91,7 +91,8 @@ def test_a_wrong_curve_is_one_line(lines, message, tmp_path):
 
 
 def test_a_json_file_without_a_curve_is_refused(tmp_path):
-    for content in ("{}", '{"gamma_curve": [0]}', '{"gamma_curve": 3}'):
+    wrong = ("[0]", "3", "null", "[0, 0, 65535, [1, 2]]", '[0, 0, 65535, "1"]', '"ab"')
+    for content in ("{}", *(f'{{"gamma_curve": {curve}}}' for curve in wrong)):
         (tmp_path / "a.json").write_text(content)
         with pytest.raises(ValueError, match=r"a\.json: .*gamma_curve"):
             read_curve(tmp_path / "a.json")

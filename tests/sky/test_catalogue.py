@@ -394,6 +394,8 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
         path.write_bytes(whole[:60] + (99).to_bytes(4) + whole[64:])
     elif how == "cut":
         path.write_bytes(whole[: len(whole) // 2])
+    elif how == "undecodable":
+        path.write_bytes(whole.replace(b"CREATE TABLE", b"CREATE \xffABLE"))
     elif how == "starless":
         path.write_bytes(whole)
         with closing(sqlite3.connect(path)) as connection:
@@ -413,6 +415,7 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
         ("foreign", "is a SQLite file but no glstar catalogue"),
         ("newer", "has tables of version 99 and this glstar reads versions 1 and 2"),
         ("cut", "is damaged ("),
+        ("undecodable", "is damaged ("),
         ("starless", "without a star"),
     ],
 )

@@ -139,6 +139,21 @@ def test_a_table_is_read_by_a_map_of_columns(tmp_path: Path) -> None:
     assert "exists already; --force replaces it" in str(again.exception)
 
 
+@pytest.mark.parametrize("code", ["-99", "99.99", "-99.999", "1e20", "-9999", "inf", ""])
+def test_codes_of_missing_values_are_no_magnitudes_colours_or_motions(tmp_path: Path, code: str) -> None:
+    source = tmp_path / "survey.csv"
+    rows = ["1,10,-20,8.5,0.5,3", f"2,11,-21,{code},0.5,3", f"3,12,-22,9.5,{code},1e{300 if code else 20}"]
+    source.write_text("\n".join(["id,ra,dec,vmag,bv,pmra", *rows]), encoding="utf-8")
+
+    build_table(tmp_path / "survey.sqlite", source, {})
+
+    stars = StarCatalogue.open(tmp_path / "survey.sqlite").brighter_than(30)
+    np.testing.assert_array_equal(stars.star_id, [1, 3])
+    np.testing.assert_array_equal(stars.vmag, [8.5, 9.5])
+    np.testing.assert_array_equal(stars.bv, [0.5, np.nan])
+    np.testing.assert_allclose(stars.pm_ra_cosdec_rad_per_yr, [3 * MAS, 0], rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("damaged", "by"),
     [(b"XTENSION= 'BINTABLE'", b"XTENSION= 'BI\0TABLE'"), (b"XTENSION= 'BINTABLE'", b"XTENSION= 'FOREIGN '")],

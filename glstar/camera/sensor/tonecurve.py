@@ -161,9 +161,12 @@ def _rows_of_csv(text: str) -> list[list[str]]:
 def _rows_of_json(text: str) -> list[Any]:
     content = read_json(text)
     for curve in _libcamera_curves(content):
-        if not isinstance(curve, list) or len(curve) % 2:
+        try:
+            fractions = [value / _LIBCAMERA_FULL_SCALE for value in curve]
+        except TypeError:
+            fractions = [0.0]
+        if len(fractions) % 2:
             raise ValueError(f"its {_LIBCAMERA_KEY} is no list of inputs and outputs in turn")
-        fractions = [value / _LIBCAMERA_FULL_SCALE for value in curve]
         return list(zip(fractions[::2], fractions[1::2], strict=True))
     if isinstance(content, list):
         return content

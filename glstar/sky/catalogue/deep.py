@@ -55,6 +55,16 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
     "vt_mag": ("vt_mag", "vtmag"),
     "epoch_yr": ("epoch_yr", "ref_epoch"),
 }
+# Numbers of larger size belong to no star: catalogues write 99.99, -99 or 1e20 where a value is missing.  Barnard's
+# star moves by 10393 mas/yr, and the parallax of Proxima is 768 mas.
+_LARGEST = {
+    "pm_ra_mas_per_yr": 1e5,
+    "pm_dec_mas_per_yr": 1e5,
+    "parallax_mas": 1e4,
+    "radial_velocity_km_per_s": 299_792.0,
+    **dict.fromkeys(("vmag", "bmag", "g_mag", "bt_mag", "vt_mag"), 40.0),
+    **dict.fromkeys(("bv", "bp_rp"), 20.0),
+}
 
 _HINT = " name them with --column, such as --column ra_deg=RA"
 
@@ -71,15 +81,17 @@ class _Columns:
     chosen: Mapping[str, str]
 
     def numbers(self, quantity: str) -> Float | None:
-        """Return a column as numbers, NaN for blanks; None if no column gives the quantity."""
+        """Return a column as numbers, NaN for blanks and codes of blanks; None if no column gives the quantity."""
         if quantity not in self.chosen:
             return None
         column = self.by_name[self.chosen[quantity]]
         try:
             if isinstance(column, np.ndarray) and column.dtype.kind in "fiu":
-                return column.astype(np.float64)
-            blanks = {"", "null", "nan", "none", "--"}
-            return np.array([float("nan") if str(v).strip().lower() in blanks else float(v) for v in column])
+                values = column.astype(np.float64)
+            else:
+                blanks = {"", "null", "nan", "none", "--"}
+                values = np.array([float("nan") if str(v).strip().lower() in blanks else float(v) for v in column])
+            return np.where(np.abs(values) <= _LARGEST.get(quantity, np.inf), values, np.nan)
         except ValueError as error:
             raise CatalogueError(
                 self.path, f"its column {self.chosen[quantity]} has a value that is no number"
@@ -98,7 +110,8 @@ def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None =
     key of `QUANTITIES`; others are found by their usual names; `epoch_yr`: Julian year of the places; by default the
     column ``epoch_yr`` or ``ref_epoch``, else 2000.
 
-    Places are brought to J2000; stars without a magnitude or a place are omitted.  Stars are numbered by brightness if
+    Places are brought to J2000; stars without a magnitude or a place are omitted; numbers that no star has, such as a
+    magnitude of -99, count as missing.  Stars are numbered by brightness if
     the table has no numbers, or numbers above 2^31, which become designations.  Raises CatalogueError if the table
     cannot be read, or lacks places or magnitudes.
     """

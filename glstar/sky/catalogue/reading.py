@@ -359,7 +359,8 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
             if connection.execute("SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index')").fetchone():
                 raise CatalogueError(path, "has views or triggers, which `glstar sky catalogue build` does not write")
             yield connection
-    except sqlite3.Error as error:
+    # Messages of SQLite that quote a damaged file cannot always be decoded.
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise CatalogueError(
             path, f"is damaged ({reason_of(error)}); build it again with `glstar sky catalogue build`"
         ) from error
