@@ -68,7 +68,8 @@ class RecordedLog:
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
         """Read an open source to its end; it is not closed.  Raises LogFormatError if no boot has two attitudes."""
-        with reading(source.name, LogFormatError):
+        # Numbers of damaged files overflow, or are signalling NaNs; samples that are not finite are left out.
+        with reading(source.name, LogFormatError), np.errstate(over="ignore", invalid="ignore"):
             return cls._read(source)
 
     @classmethod

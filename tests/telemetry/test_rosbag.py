@@ -1,5 +1,6 @@
 """ROS bags, written by the rosbags library: attitude, UTC and position agree with SciPy."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
 from glstar.sky.place.site import Site
 from glstar.telemetry import RateSamples, open_flight, open_source
-from tests.support.bags import ENU_FLU, NED_FRD, ODOMETRY, START_NS, TIMES_S, Bag, written
+from glstar.telemetry.recordedlog import RecordedLog
+from tests.support.bags import ENU_FLU, IMU, NED_FRD, ODOMETRY, START_NS, TIMES_S, Bag, written
 
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60))
 
@@ -89,6 +91,31 @@ def test_rates_are_turned_into_forward_right_down(tmp_path: Path) -> None:
 
     turn = (NED_FRD[49].inv() * NED_FRD[51]).as_rotvec() / 0.08
     np.testing.assert_allclose(rates.rate_rad_per_s[50], turn, rtol=0, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_signalling_nan_in_a_rate_costs_one_sample_and_no_warning(tmp_path: Path) -> None:
+    """Damage makes such numbers; NumPy warns when it multiplies them."""
+    marker = 0.012345678901234567
+    turned = ENU_FLU
+    with Bag(tmp_path / "flight.bag", "bag") as bag:
+        for k in range(TIMES_S.size):
+            stamp_ns = START_NS + round(TIMES_S[k] * 1e9)
+            before, after = max(k - 1, 0), min(k + 1, TIMES_S.size - 1)
+            turn = (turned[before].inv() * turned[after]).as_rotvec() / (TIMES_S[after] - TIMES_S[before])
+            rate = (turn[0], marker if k == 20 else turn[1], turn[2])
+            bag.oriented(IMU, "/imu/data", stamp_ns, turned[k], "imu_link", rate=rate, acceleration=(0, 0, 9.8))
+            bag.fix(k, START_NS)
+    path = tmp_path / "flight.bag"
+    content = path.read_bytes()
+    assert content.count(struct.pack("<d", marker)) == 1
+    path.write_bytes(content.replace(struct.pack("<d", marker), struct.pack("<Q", 0x7FF0_0000_0000_0001)))
+
+    require_agreement(open_flight(path))
+    with open_source(path) as source:
+        rates = RecordedLog.read(source).longest.rates
+    assert rates is not None
+    assert rates.clock_s.size == TIMES_S.size - 1
 
 
 def test_stamps_of_a_simulator_are_converted_by_time_reference(tmp_path: Path) -> None:
