@@ -35,6 +35,7 @@ class Concept:
     unit: str = ""  # Shown in place of a value: ``S``, ``DEG``; empty for switches and choices
     key: str = ""  # The dotted key of the config, or of a described flight
     short: str = ""  # One letter
+    bare: str = ""  # Its value where none follows; empty if it needs one
     old: tuple[str, ...] = field(default=())  # ``flag``, or ``command: flag`` where another command has that flag
 
 
@@ -152,7 +153,7 @@ CONCEPTS: Final = (
     Concept("camera-id", "MAVLink component of that camera", LINK, _N),
     Concept("camera-delay", "time from a command to its shutter, s", LINK, _S),
     Concept("sdp", "the description of a video stream", LINK, _FILE),
-    Concept("foxglove", "serve frames and truth to Foxglove", LINK, "PORT"),
+    Concept("foxglove", "serve frames and truth to Foxglove", LINK, "PORT", bare="8765"),
     Concept("clock", "whose clock frames follow", LINK),
     Concept("speed", "seconds of flight per second", LINK, _N),
     Concept("loop", "begin again at the end", LINK),

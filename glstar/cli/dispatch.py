@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from glstar.cli.commands import COMMANDS, OLD_COMMANDS
-from glstar.cli.concepts import BY_FLAG, PANELS, REPORT, Concept, old_flags
+from glstar.cli.concepts import BY_FLAG, CONCEPTS, PANELS, REPORT, Concept, old_flags
 from glstar.errors import GlstarError
 from glstar.system.process import exit_status
 from glstar.system.userinput import did_you_mean, nearest_word
@@ -129,7 +129,8 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, with flags under their present names."""
         try:
-            remaining: list[str] = super().parse_args(ctx, _renamed(args, self._name_of(ctx), ctx))
+            words = _completed(_renamed(args, self._name_of(ctx), ctx))
+            remaining: list[str] = super().parse_args(ctx, words)
         except typer.BadParameter as error:
             error.message += _suggestion(error.message)
             raise
@@ -197,6 +198,17 @@ def _renamed(args: list[str], command: str, ctx: Any) -> list[str]:
         else:
             words.append(word)
     return words
+
+
+def _completed(words: list[str]) -> list[str]:
+    """Return the arguments with values after the flags that may have none; ``--foxglove`` means its usual port."""
+    values = {f"--{concept.flag}": concept.bare for concept in CONCEPTS if concept.bare}
+    completed: list[str] = []
+    for word, following in pairwise([*words, "-"]):
+        completed.append(word)
+        if word in values and following.startswith("-"):
+            completed.append(values[word])
+    return completed
 
 
 def _suggestion(message: str) -> str:

@@ -16,6 +16,8 @@ from glstar.cli.commands import COMMANDS, OLD_COMMANDS
 from glstar.cli.concepts import CONCEPTS, PANELS
 from glstar.cli.dispatch import normalised
 from glstar.config import Config
+from glstar.errors import ConfigError
+from glstar.export.publish import foxgloveserver
 from glstar.telemetry.synthetic import KEYS
 from tests.support.exports import CAMERA
 
@@ -258,6 +260,17 @@ def test_frames_of_a_link_have_the_output_of_every_command(tmp_path):
 
         assert refused.rc == 2
         assert "--foxglove open no window" in plain(refused.err)
+
+
+@pytest.mark.parametrize("words", [("--foxglove",), ("--foxglove", "--duration", "1"), ("--foxglove=8765",)])
+def test_foxglove_without_a_port_is_on_the_usual_one(words, monkeypatch):
+    def refuse(where):
+        raise ConfigError(f"asked for port {where}")
+
+    monkeypatch.setattr(foxgloveserver, "check_foxglove", refuse)
+
+    with pytest.raises(ConfigError, match="asked for port 8765"):
+        CliRunner().invoke(app, ["--traceback", "live", "udpin:127.0.0.1:1", *words], catch_exceptions=False)
 
 
 def test_a_flag_that_the_sweep_overrides_is_noted(tmp_path):

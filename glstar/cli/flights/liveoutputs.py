@@ -36,7 +36,7 @@ Foxglove = Annotated[
     str | None,
     typer.Option(
         help="Show the frames in the Foxglove app, with their truth drawn over them: a WebSocket server on this port,"
-        " for this computer, or on HOST:PORT for others; 8765 is the port that Foxglove expects.",
+        " for this computer, or on HOST:PORT for others. Without a port on 8765, which Foxglove expects.",
         show_default=False,
     ),
 ]
