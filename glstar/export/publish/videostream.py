@@ -9,6 +9,7 @@ import re
 import socket
 from contextlib import suppress
 from fractions import Fraction
+from math import floor
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -123,8 +124,11 @@ class VideoStream:
             raise ExportError(self._where, f"the video cannot be sent or written ({error.strerror})") from error
 
     def _open(self, start_s: float, utc: str) -> None:
-        """Begin the stream at the first frame, whose time is the origin of its time stamps."""
-        self._first_s = start_s
+        """Begin the stream at the first frame; the origin of its time stamps is the millisecond in which it began.
+
+        FFmpeg states UTC in whole milliseconds, whatever it is given.
+        """
+        self._first_s = floor(start_s * 1000) / 1000
         if self.address is None:
             self._file = self._av.open(self._where, "w", format="mpegts")
             self._file.metadata.update(service_provider="glstar", service_name=f"from {utc}")
@@ -133,7 +137,7 @@ class VideoStream:
             own = f"&localaddr={LOOPBACK}" if host == LOOPBACK else ""
             url = f"rtp://{f'[{host}]' if ':' in host else host}:{port}?pkt_size={_PACKET_BYTES}{own}"
             # By the reports of RTCP the time stamps are UTC.
-            options = {"payload_type": str(_PAYLOAD_TYPE), "start_time_realtime": str(round(start_s * 1e6))}
+            options = {"payload_type": str(_PAYLOAD_TYPE), "start_time_realtime": str(round(self._first_s * 1e6))}
             self._file = self._av.open(url, "w", format="rtp", options=options)
         rate = Fraction(1 / self._interval_s).limit_denominator(1000)
         self._stream = self._file.add_stream("libx264", rate=max(rate, Fraction(1, 1000)), options=_ENCODER)
