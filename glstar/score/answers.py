@@ -28,7 +28,7 @@ import csv
 import io
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
-from math import hypot, isfinite, log1p, radians, remainder, sqrt, tau
+from math import hypot, inf, isfinite, log1p, radians, remainder, sqrt, tau
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,8 @@ _MOST_BYTES = 2_000_000_000
 MOST_CHARACTERS = 1_000_000
 # Largest number of a frame or a star: that of a 64-bit integer.
 _LARGEST = 2**63 - 1
+# Larger numbers are no angle, pixel or run time, and their squares overflow.
+_LARGEST_NUMBER = 1e12
 # Largest semi-axis of an error ellipse, km: the Earth's circumference; and the least probability of one.
 _LARGEST_AXIS_KM, _LEAST_CONFIDENCE = 40_000.0, 1e-4
 # Longitudes beyond two turns are those of other units, deg.
@@ -283,17 +285,19 @@ class _Row:
     def error(self, message: str) -> AnswersError:
         return AnswersError(self._path, f"line {self._line}: {message}")
 
-    def number(self, name: str) -> float:
+    def number(self, name: str, largest: float = _LARGEST_NUMBER) -> float:
         try:
             number = float(self._row[name])
         except (TypeError, ValueError):
             raise self.error(f"{name} is {self._shown(name)}, not a number") from None
         if not isfinite(number) or isinstance(self._row[name], bool):
             raise self.error(f"{name} is {self._shown(name)}, not a finite number")
+        if abs(number) > largest:
+            raise self.error(f"{name} is {self._shown(name)}, beyond {largest:g}")
         return number
 
     def whole_number(self, name: str) -> int:
-        number = self.number(name)
+        number = self.number(name, inf)
         if number != int(number) or not 0 <= number <= _LARGEST:
             raise self.error(f"{name} is {self._shown(name)}, not a whole number from 0")
         return int(number)
@@ -415,7 +419,7 @@ def _stars(fields: _Row) -> ObservedStars | None:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST_NUMBER
 
 
 def _is_star_id(value: object) -> bool:

@@ -60,6 +60,9 @@ def scored(frames: Path, folder: Path, *lines: str | Row, **options: Any) -> Sco
         ('{"frame": 1, "stars": [[10, 5]]}', r"stars are a list of \[x_px, y_px, star_id\]"),
         ('{"frame": 1, "stars": "none"}', "stars is 'none', not a list, which JSON lines can hold"),
         ('{"frame": 1, "time_ms": -3}', "time_ms is -3; a run time is not negative"),
+        ('{"frame": 1, "time_ms": 1e200}', r"time_ms is 1e\+200, beyond 1e\+12"),
+        ('{"frame": 1, "qw": 1e200, "qx": 0, "qy": 0, "qz": 0}', r"qw is 1e\+200, beyond 1e\+12"),
+        ('{"frame": 1, "stars": [[1e200, 5, 7]]}', r"stars are a list of \[x_px, y_px, star_id\]"),
         (
             '{"frame": 1, "ellipse_major_km": 3, "ellipse_minor_km": 2, "ellipse_azimuth_deg": 0}',
             "an error ellipse stands without a position",
