@@ -1,5 +1,5 @@
 #!/bin/sh
-# AHRS 0.4.0: its estimators of one attitude from one sample disagree; one returns the inverse, one wants the other sign.
+# AHRS 0.4.0: its estimators of one attitude from one sample disagree; one returns the inverse, one takes the other sign.
 #
 # Expected: all estimators of the package take `acc` and `mag` of a body and return the attitude as a quaternion of the same
 #   direction, so that one can be exchanged for another: yaw 100, pitch 20, roll 10 deg for the sample below.
