@@ -7,19 +7,33 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.cli.machine.manual import summary
-from glstar.system.resources import manual_pages
+from glstar.system.resources import MANUAL_KINDS, manual_pages
 
 
 def manual(*words):
     return CliRunner().invoke(app, ["manual", *words])
 
 
-def test_the_list_names_every_page_with_a_sentence():
+def test_every_page_is_of_one_kind():
+    assert sorted(topic for topics in MANUAL_KINDS.values() for topic in topics) == list(manual_pages())
+
+
+def test_the_list_names_every_page_by_kind_with_a_sentence():
     printed = manual().output
 
-    topics = re.findall(r"^([\w-]+)  +\S.*$", printed, re.MULTILINE)
-    assert topics[: len(manual_pages())] == list(manual_pages())
+    expected = [line for kind, topics in MANUAL_KINDS.items() for line in (kind, *topics)]
+    listed = re.findall(rf"^({'|'.join(map(re.escape, MANUAL_KINDS))}|[\w-]+(?=  +\S))", printed, re.MULTILINE)
+    assert listed == expected
     assert max(map(len, printed.splitlines())) < 130
+
+
+@pytest.mark.parametrize("topic", next(iter(MANUAL_KINDS.values())))
+def test_a_page_of_one_task_has_no_measurements(topic):
+    """Standard errors, benchmarks, processor times and dated figures belong to a page of background."""
+    text = manual_pages()[topic].read_text(encoding="utf-8")
+
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    assert re.findall(r".*(?: ± |poe bench|processor time|, 20\d\d-\d\d-\d\d[):]|\(tested\)).*", prose) == []
 
 
 @pytest.mark.parametrize("topic", manual_pages())

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from glstar.cli.tables import print_table
 from glstar.errors import ConfigError
-from glstar.system.resources import manual_pages
+from glstar.system.resources import MANUAL_KINDS, manual_pages
 from glstar.system.userinput import nearest_word
 
 # The widest text column in a terminal, in characters; longer lines are hard to read.
@@ -98,9 +98,14 @@ def _around(line: str, word: str) -> str:
 
 
 def _print_topics() -> None:
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for topic, page in manual_pages().items():
-        table.add_row(topic, summary(page.read_text(encoding="utf-8")))
-    print_table(table)
-    typer.echo("\nglstar manual TOPIC prints a page, glstar manual WORDS finds lines")
+    pages = manual_pages()
+    for kind, topics in MANUAL_KINDS.items():
+        table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+        table.add_column(min_width=max(map(len, pages)))
+        for topic in topics:
+            table.add_row(topic, summary(pages[topic].read_text(encoding="utf-8")))
+        typer.echo(f"{kind}\n")
+        print_table(table)
+        typer.echo("")
+    typer.echo("glstar manual TOPIC prints a page, glstar manual WORDS finds lines")
     typer.echo("Start with: glstar manual tutorial")
