@@ -1,4 +1,4 @@
-"""Reading of files that the user names: the limits of what is read of them, and suggestions for misspelt words.
+"""Reading of files that the user names: the limits of their size, and suggestions for misspelt words.
 
 A file of a few kilobytes can unpack to any size, declare an image of any size or nest without end.  Every reader takes
 its bounds from `LIMITS`, before it decodes or unpacks anything.  Only regular files are read: a pipe might block
@@ -65,9 +65,9 @@ class Limit:
 LIMITS = (
     Limit("megapixels", 200, "megapixels", "photographs and maps of pixels; the largest sensors have 150"),
     Limit("file_mib", 4096, "MiB", "a file that is read as a whole: images, maps, catalogues, tables of text"),
-    Limit("content_mib", 512, "MiB", "what is unpacked in memory: a KMZ, a chunk of a bag, a packed catalogue"),
-    Limit("unpacked_gib", 16, "GiB", "what is unpacked to the disk: logs in gzip, zip and zstd"),
-    Limit("ratio", 250, "times its size", "unpacked over packed bytes of any of them, from 64 MiB on"),
+    Limit("content_mib", 512, "MiB", "data unpacked in memory: a KMZ, a chunk of a bag, a packed catalogue"),
+    Limit("unpacked_gib", 16, "GiB", "data unpacked to the disk: logs in gzip, zip and zstd"),
+    Limit("ratio", 250, "times its size", "unpacked over packed bytes of either, from 64 MiB on"),
     Limit("members", 10_000, "members", "files in an archive"),
     Limit("archives", 3, "archives", "archives inside each other: flight.csv.gz in a zip has 2"),
     Limit("rows", 10_000_000, "rows", "rows of a table: Parquet, Excel and text with a column map"),

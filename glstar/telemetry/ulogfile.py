@@ -1,8 +1,9 @@
 """The topics of a ULog file, or of the CSV files that ulog2csv writes of it.
 
-A log is a sequence of messages, each with a size, a letter and a body: definitions first (``F`` defines the fields of a
-topic, ``A`` assigns a number to a topic, ``I`` is information about the log), then samples (``D``).  pyulog decodes the
-complete messages of one topic at a time, on first use, because with a damaged file it may never finish.
+A log is a sequence of messages, each with a size, a letter and a body.  Definitions come first: ``F`` defines the
+fields of a topic, ``A`` assigns a number to a topic, ``I`` is information about the log.  Then come samples (``D``).
+pyulog decodes the complete messages of one topic at a time, on first use, because with a damaged file it may never
+finish.
 """
 
 import io

@@ -8,7 +8,7 @@ import argparse
 import ast
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -37,9 +37,10 @@ _ITEM = re.compile(r"\s*(?:[-*]|\d+\.)\s+")
 # Words before a point that does not end a sentence.
 _END = re.compile(
     r"(?<![Ee]q)(?<!eqs)(?<!e\.g)(?<!i\.e)(?<!cf)(?<!vs)(?<!al)(?<!No)(?<! \.\.)[.!?][)\"'*]*\s+"
-    r"(?=[^\sa-z]|glstar|celestial_fix|moderngl|libcamera|float32)"
+    r"(?=[^\sa-z]|glstar|celestial_fix|moderngl|libcamera|float32|rosbags|pyulog|pymavlink)"
 )
 _UNDERLINE = re.compile(r"\s*-{3,}\s*")
+_RULE = re.compile(r"\s*=+(?:\s+=+)+\s*")
 
 
 @dataclass(frozen=True)
@@ -79,18 +80,23 @@ def of_docstrings(file: str, source: str) -> Iterator[Sentence]:
             docstring = ast.get_docstring(node)
             if docstring and not getattr(node, "name", "").startswith("_"):
                 lines = docstring.splitlines()
-                yield from _of_lines(file, node.body[0].lineno, list(_without_code(lines)))
+                for one in _of_lines(file, node.body[0].lineno, list(_without_code(lines))):
+                    # Parameters are listed as "`name`: meaning; `name`: meaning".
+                    yield from (replace(one, text=text) for text in re.split(r"; (?=`\w+`[^;]*:)", one.text))
 
 
 def _without_code(lines: list[str]) -> Iterator[str]:
     """Yield the lines of a docstring; those of code and of the names of sections and parameters become empty."""
-    code_indent = None
+    code_indent, rules = None, 0
     for line, after in zip(lines, [*lines[1:], ""], strict=True):
         indent = len(line) - len(line.lstrip())
         if code_indent is not None and line.strip() and indent <= code_indent:
             code_indent = None
+        is_rule = _RULE.fullmatch(line) is not None
+        rules = (rules + is_rule) % 3  # above and below the head of a table, and at its end
         name = _UNDERLINE.fullmatch(after) or _UNDERLINE.fullmatch(line) or re.match(r"\s*[\w*, ]+ : \S", line)
-        yield "" if code_indent is not None or name or line.lstrip().startswith((">>>", "..")) else line
+        hidden = code_indent is not None or rules or is_rule or name or line.lstrip().startswith((">>>", ".."))
+        yield "" if hidden else line
         if line.rstrip().endswith("::"):
             code_indent = indent
 
