@@ -19,6 +19,16 @@ WORDS: Final = "glstar.words"
 
 _HELP = ("--help", "-h")
 _QUIET = {"--quiet", "-q"}
+# What a value must be, by the type of pydantic's error.
+_MUST = {
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "{ge:g} or more",
+    "less_than": "less than {lt:g}",
+    "less_than_equal": "{le:g} or less",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+}
 
 
 def normalised(words: Collection[str]) -> list[str]:
@@ -131,6 +141,7 @@ class Command(TyperCommand):
         try:
             remaining: list[str] = super().parse_args(ctx, _renamed(args, self._name_of(ctx), ctx))
         except typer.BadParameter as error:
+            error.message = _plain(error)
             error.message += _suggestion(error.message)
             raise
         return remaining
@@ -197,6 +208,18 @@ def _renamed(args: list[str], command: str, ctx: Any) -> list[str]:
         else:
             words.append(word)
     return words
+
+
+def _plain(error: typer.BadParameter) -> str:
+    """Return the message of a wrong value: what it must be, and what it is; typer repeats the words of pydantic."""
+    errors = getattr(error.__cause__, "errors", None)
+    if errors is None:
+        return error.message
+    fault = errors(include_url=False)[0]
+    must = _MUST.get(fault["type"])
+    if must is None:
+        return str(fault["msg"].removeprefix("Value error, "))
+    return f"must be {must.format(**fault.get('ctx', {}))}, not {fault['input']}"
 
 
 def _suggestion(message: str) -> str:

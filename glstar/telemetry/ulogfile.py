@@ -94,7 +94,9 @@ class LogTopics(Topics):
         with Path(path).open("rb") as file:
             self._file_bytes = os.fstat(file.fileno()).st_size
             if self._file_bytes < _FILE_HEAD_BYTES:
-                raise LogFormatError(path, f"the log is cut off in its head: {self._file_bytes} bytes", offset=0)
+                raise LogFormatError(
+                    path, f"the log is cut off in its head: {self._file_bytes} bytes; copy it again", offset=0
+                )
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
                 self._index = _index(raw, start, len(raw) if stop is None else stop)
         if self._index.unknown:

@@ -65,14 +65,24 @@ def test_an_unknown_topic_prints_the_list():
     assert "(the pages are accuracy, " in manual("xyzzy").output
 
 
-def test_a_word_is_found_on_all_pages_the_richest_first():
-    printed = manual("yolo").output
+@pytest.mark.parametrize(
+    ("word", "first", "heading"),
+    [
+        ("yolo", "learning", "## A training set for YOLO"),
+        ("mount", "mounts", "# Mounts"),
+        ("ros", "logs", "## ROS bags"),
+    ],
+)
+def test_a_word_is_found_on_all_pages_those_with_a_heading_first(word, first, heading):
+    printed = manual(word).output
 
-    topics = re.findall(r"^([a-z]+): (\d+)$", printed, re.MULTILINE)
-    counts = [int(count) for _, count in topics]
-    assert [topic for topic, _ in topics][:2] == ["learning", "export"]
-    assert counts == sorted(counts, reverse=True)
-    assert "## A training set for YOLO" in printed
+    topics, counts = zip(*re.findall(r"^([\w-]+): (\d+)$", printed, re.MULTILINE), strict=True)
+    prose = [re.sub(r"^```.*?^```$", "", manual_pages()[topic].read_text(), flags=re.S | re.M) for topic in topics]
+    headed = [bool(re.search(rf"^#+ .*{word}", text, re.IGNORECASE | re.MULTILINE)) for text in prose]
+    pages = list(zip(headed, map(int, counts), strict=True))
+    assert topics[0] == first
+    assert re.search(rf"^{first}: \d+\n +\d+  {heading}$", printed, re.MULTILINE)
+    assert pages == sorted(pages, reverse=True)
     assert max(map(len, printed.splitlines())) <= 80
 
 
@@ -96,7 +106,10 @@ def test_a_word_is_found_inside_a_long_line():
         ("mount", "mounts", "forward-up-30"),
         ("day log", "problems", "--utc-start"),
         ("figures comparison", "problems", "centroid distance"),
+        ("figures compare", "problems", "centroid distance"),
         ("killed", "problems", "glstar export --recover DIR"),
+        ("recover", "problems", "glstar export --recover DIR"),
+        ("training set", "learning", "--to yolo"),
         ("yolo", "learning", "--to yolo"),
     ],
 )
