@@ -9,8 +9,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from glstar.cli.commands import COMMANDS, OLD_COMMANDS
-from glstar.cli.concepts import BY_FLAG, PANELS, REPORT, Concept, old_flags
-from glstar.errors import GlstarError
+from glstar.cli.concepts import BY_FLAG, CONCEPTS, PANELS, REPORT, Concept, old_flags
+from glstar.errors import ConfigError, GlstarError
 from glstar.system.process import exit_status
 from glstar.system.userinput import did_you_mean, nearest_word
 
@@ -126,7 +126,8 @@ class Program(TyperGroup):
         except GlstarError as error:
             if ctx.params["traceback"]:
                 raise
-            typer.echo(f"glstar: {' '.join(str(error).split())}", err=True)
+            message = _with_flags(error, ctx.meta[WORDS])
+            typer.echo(f"glstar: {' '.join(message.split())}", err=True)
             ctx.exit(1)
         except KeyboardInterrupt as interrupt:
             typer.echo("glstar: stopped", err=True)
@@ -208,6 +209,18 @@ def _renamed(args: list[str], command: str, ctx: Any) -> list[str]:
         else:
             words.append(word)
     return words
+
+
+def _with_flags(error: GlstarError, words: Collection[str]) -> str:
+    """Return the message of an error; keys of the config that come from flags have the flag before them."""
+    message = str(error)
+    if not isinstance(error, ConfigError) or error.file is not None:
+        return message
+    given = {word.partition("=")[0] for word in words}
+    for concept in CONCEPTS:
+        if concept.key and given & {f"--{concept.flag}", f"-{concept.short or concept.flag}"}:
+            message = message.replace(f"{concept.key}: ", f"--{concept.flag}: {concept.key}: ")
+    return message
 
 
 def _plain(error: typer.BadParameter) -> str:

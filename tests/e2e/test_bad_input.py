@@ -586,6 +586,15 @@ def test_a_wrong_value_of_a_flag_is_refused_with_what_it_must_be(
     assert "Value error" not in result.err
 
 
+def test_a_wrong_key_that_a_flag_sets_is_refused_with_the_flag(tmp_path: Path) -> None:
+    config = tmp_path / "night.toml"
+    config.write_text("[exposure]\nduration_s = -1\n", encoding="utf-8")
+
+    assert "glstar: --exposure: exposure.duration_s: must be" in refused("export", "-o", "frames", "--exposure", "-1")
+    assert " | --every: exposure.interval_s: must" in refused("export", "-o", "x", "--exposure=-1", "--every", "0")
+    assert "--exposure: " not in refused("export", "-o", "x", "-c", config, "--every", "1")
+
+
 def test_traceback_shows_the_source_of_an_error(tmp_path: Path) -> None:
     words = ("export", tmp_path / "none.BIN", "-o", tmp_path / "frames")
 
