@@ -1,4 +1,4 @@
-"""What is known of photographs before their stars are identified: camera, time, site, attitude, exposure, labels."""
+"""Facts about photographs before their stars are identified: camera, time, site, attitude, exposure, labels."""
 
 import csv
 from collections.abc import Sequence

@@ -108,11 +108,11 @@ def minimise_each(
 ) -> tuple[Float, Float, Float, Mask]:
     """Return the parameters (n, p) that minimise the sums of squares of n problems, each with a damping of its own.
 
-    `start` (n, p); `normal_equations`: takes parameters (m, p) and the indices of their problems (m,), and returns the
-    sums of squares (m,), J^T r (m, k) and J^T J (m, k, k), with r data minus model and J the derivatives of the model;
-    `is_small` (m, p) -> (m,): whether a step ends a problem; `step_of` (m, k) -> (m, p): the step of the parameters
-    from the solution of the damped equations; `bounded` (m, p) -> (m, p): the nearest allowed parameters.  Returns also
-    the sums of squares (n,), J^T J (n, k, k), and whether the last step was small (n,).
+    `start` (n, p); `normal_equations`: takes parameters (m, p) and the indices of their problems (m,), and returns sums
+    of squares (m,), J^T r (m, k) and J^T J (m, k, k): r is data minus model, J the model's derivatives; `is_small` (m,
+    p) -> (m,): whether a step ends a problem; `step_of` (m, k) -> (m, p): the step of the parameters from the solution
+    of the damped equations; `bounded` (m, p) -> (m, p): the nearest allowed parameters.  Returns also the sums of
+    squares (n,), J^T J (n, k, k), and whether the last step was small (n,).
     """
     p = start.copy()
     cost, gradient, normal = normal_equations(p, np.arange(len(p)))

@@ -1,4 +1,4 @@
-"""Notes of a calibration for the user: what was found besides the numbers, and what makes them doubtful."""
+"""Notes of a calibration for the user: findings besides the numbers, and reasons to doubt a number."""
 
 from dataclasses import dataclass
 from enum import Enum, auto

@@ -51,7 +51,7 @@ BRIGHTNESS_SUFFIX = ".brightness.csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationOptions:
-    """What is measured on photographs, and how; see `calibrate_photographs`."""
+    """The measurements to make on photographs; see `calibrate_photographs`."""
 
     channel: Channel = "value"
     bit_depth: int | None = None

@@ -374,8 +374,8 @@ def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Came
     Raises
     ------
     CalibrationError
-        If the file cannot be read, holds several cameras and none is named, lacks the named camera, the camera matrix
-        or the image size, has an unknown lens model or an unknown key that may carry the lens, or contradicts itself.
+        If the file cannot be read or contradicts itself, holds several cameras and none is named, lacks the named
+        camera, the camera matrix or the image size, or has an unknown lens model or key of the lens.
     """
     return read_camera_file(path, name).camera
 

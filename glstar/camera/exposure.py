@@ -69,9 +69,8 @@ class Exposure:
     Raises
     ------
     ConfigError
-        If the duration or the rate is not a positive number, the readout time, the tolerance or the faintest signal is
-        negative, the trail, the direction or the stack is none of these, the number of short exposures or the gap
-        is out of range, or a rolling shutter begins to read a short exposure before it has read the one before it.
+        If a number is out of its range, the trail, the direction or the stack is none of these, or a rolling shutter
+        begins to read a short exposure before it has read the previous one.
 
     Notes
     -----
@@ -304,7 +303,7 @@ class ExposureControl:
     percentile: float  # Of the pixels, %, for ``"percentile"``
     limits_s: tuple[float, float]  # Shortest and longest exposure time, s
     gain_limits: tuple[float, float]  # Smallest and largest analogue gain
-    delay_frames: int  # What is measured on a frame is first used this many frames later, 1 or more
+    delay_frames: int  # Frames after which a measured level is first used, 1 or more
     speed: float  # Fraction of the distance to the target that a frame makes up, above 0, at most 1
 
     def level(self, pixels_dn: NDArray[Any], black_dn: float, full_scale_dn: float) -> float:

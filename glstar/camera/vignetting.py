@@ -106,7 +106,7 @@ class Vignetting:
 def image_grid(camera: Camera, columns: int, rows: int) -> Float:
     """Return the middles of the cells that divide an image into columns and rows, (rows, columns, 2) px.
 
-    They are the texel centres of a texture that covers the image.
+    The middles are the texel centres of a texture that covers the image.
     """
     x = (np.arange(columns) + 0.5) * camera.width_px / columns - 0.5
     y = (np.arange(rows) + 0.5) * camera.height_px / rows - 0.5

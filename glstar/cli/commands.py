@@ -39,7 +39,7 @@ COMMANDS = {
     "live answer": Entry(
         "flights.linkcommands",
         "answer",
-        "Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.",
+        "Send a navigator's answer to glstar live, or the lines of the standard input, one JSON answer each.",
     ),
     "info": Entry(
         "flights.info",

@@ -10,7 +10,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from glstar.cli.commands import COMMANDS, OLD_COMMANDS
 from glstar.cli.concepts import BY_FLAG, CONCEPTS, PANELS, REPORT, Concept, old_flags
-from glstar.errors import GlstarError
+from glstar.errors import ConfigError, GlstarError
 from glstar.system.process import exit_status
 from glstar.system.userinput import did_you_mean, nearest_word
 
@@ -19,6 +19,16 @@ WORDS: Final = "glstar.words"
 
 _HELP = ("--help", "-h")
 _QUIET = {"--quiet", "-q"}
+# What a value must be, by the type of pydantic's error.
+_MUST = {
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "{ge:g} or more",
+    "less_than": "less than {lt:g}",
+    "less_than_equal": "{le:g} or less",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+}
 
 
 def normalised(words: Collection[str]) -> list[str]:
@@ -116,7 +126,8 @@ class Program(TyperGroup):
         except GlstarError as error:
             if ctx.params["traceback"]:
                 raise
-            typer.echo(f"glstar: {' '.join(str(error).split())}", err=True)
+            message = _with_flags(error, ctx.meta[WORDS])
+            typer.echo(f"glstar: {' '.join(message.split())}", err=True)
             ctx.exit(1)
         except KeyboardInterrupt as interrupt:
             typer.echo("glstar: stopped", err=True)
@@ -132,6 +143,7 @@ class Command(TyperCommand):
             words = _completed(_renamed(args, self._name_of(ctx), ctx))
             remaining: list[str] = super().parse_args(ctx, words)
         except typer.BadParameter as error:
+            error.message = _plain(error)
             error.message += _suggestion(error.message)
             raise
         return remaining
@@ -209,6 +221,30 @@ def _completed(words: list[str]) -> list[str]:
         if word in values and following.startswith("-"):
             completed.append(values[word])
     return completed
+
+
+def _with_flags(error: GlstarError, words: Collection[str]) -> str:
+    """Return the message of an error; keys of the config that come from flags have the flag before them."""
+    message = str(error)
+    if not isinstance(error, ConfigError) or error.file is not None:
+        return message
+    given = {word.partition("=")[0] for word in words}
+    for concept in CONCEPTS:
+        if concept.key and given & {f"--{concept.flag}", f"-{concept.short or concept.flag}"}:
+            message = message.replace(f"{concept.key}: ", f"--{concept.flag}: {concept.key}: ")
+    return message
+
+
+def _plain(error: typer.BadParameter) -> str:
+    """Return the message of a wrong value: what it must be, and what it is; typer repeats the words of pydantic."""
+    errors = getattr(error.__cause__, "errors", None)
+    if errors is None:
+        return error.message
+    fault = errors(include_url=False)[0]
+    must = _MUST.get(fault["type"])
+    if must is None:
+        return str(fault["msg"].removeprefix("Value error, "))
+    return f"must be {must.format(**fault.get('ctx', {}))}, not {fault['input']}"
 
 
 def _suggestion(message: str) -> str:

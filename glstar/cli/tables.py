@@ -19,8 +19,9 @@ def console_of_width(pipe_columns: int = PIPE_COLUMNS) -> Console:
 def print_table(table: Table, *, pipe_columns: int = PIPE_COLUMNS) -> None:
     """Print a table within the width of the terminal.
 
-    A table that is too wide loses its box and wraps its cells between words; if words are too long for that, its rows
-    are printed one after the other, in a terminal.  `pipe_columns`: the width where the standard output is no terminal.
+    A table that is too wide loses its box and wraps its cells between words.  If words are too long for that, a
+    terminal gets its rows one after the other.  The parameter `pipe_columns` is the width where the standard output is
+    no terminal.
     """
     console = console_of_width(pipe_columns)
     if _width(table) > console.width:

@@ -1,12 +1,12 @@
 """The camera clock's offset, the mount's angles and the readout time, fitted to the trails of real images.
 
-Each trail gives four residuals: shifts along x and y, stretch and turn.  They are linear in a rotation of the camera
-(the mount's error), in a delay (the clock's error, larger where the aircraft turns faster), in a rolling shutter's
-readout time (a delay times the number of the row) and in each image's attitude error, a second rotation that may grow
-during the exposure.  That error dominates the budget, so its size is estimated with the other parameters; its growth
-only widens the uncertainty.  Times in whole seconds add a delay of each image, which is fitted too; that the camera may
-have cut off or rounded all of them belongs to the uncertainty.  ``python -m tests.bench.clockoffset`` checks the stated
-errors.
+Each trail gives four residuals: shifts along x and y, stretch and turn.  The residuals are linear in a rotation of the
+camera (the mount's error), in a delay (the clock's error, larger where the aircraft turns faster) and in a rolling
+shutter's readout time (a delay times the number of the row).  Residuals are also linear in each image's attitude error,
+a second rotation that may grow during the exposure.  The attitude error dominates the budget, so its size is estimated
+with the other parameters; its growth only widens the uncertainty.  Times in whole seconds add a delay of each image,
+which is fitted too; the uncertainty includes that the camera may have cut off or rounded all times.  ``python -m
+tests.bench.clockoffset`` checks the stated errors.
 """
 
 import itertools

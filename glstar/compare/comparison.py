@@ -325,9 +325,9 @@ def _nothing_paired(left_out: Sequence[RejectedImage]) -> str:
 def chance(pairing: Pairing) -> tuple[str, str] | None:
     """Return why the trails that were found may be other stars, as kind and reason; None if they are evidence.
 
-    They are if they move together or most were found.  In images of another part of the sky, where up to 36 % of the
-    search windows had a star, these scattered by 1.3 to 2.8 px per axis; the same stars scatter by less than 0.1 px if
-    attitude and lens are right.
+    Trails are evidence if they move together or most were found.  In images of another part of the sky, up to 36 % of
+    the search windows had a star, and the stars found scattered by 1.3 to 2.8 px per axis.  The right stars scatter by
+    less than 0.1 px if attitude and lens are right.
     """
     predicted, found = len(pairing.trails), len(pairing.found_indices)
     if found >= _MOST_BY_CHANCE * predicted or not pairing.scatter_px > _CHANCE_SCATTER_PX:

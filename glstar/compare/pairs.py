@@ -261,9 +261,9 @@ class Measures:
 def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
     """Return the paper's measurements of every trail that was found.
 
-    `image`: the real image's name.  Teague & Chahl, section 3, eqs (44)-(46), with three departures from eq. (44): the
-    background is subtracted because it pulls every centroid to the centre of the region; pixels outside of the trail's
-    aperture are excluded; the centre of a region is computed from the centres of its pixels, to a fraction of a pixel.
+    `image`: the real image's name.  Teague & Chahl, section 3, eqs (44)-(46), with three departures from eq. (44).  The
+    background is subtracted because it pulls every centroid to the centre of the region.  Pixels outside of the trail's
+    aperture are excluded.  The centre of a region is computed from the centres of its pixels, to a fraction of a pixel.
     """
     pairs, pictures = [], []
     for k in pairing.found_indices:

@@ -188,9 +188,9 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     DN; `least_signal`: smallest signal-to-noise ratio of a whole trail; `most`: largest number of trails, those of the
     highest signal-to-noise ratio.
 
-    The motions of the Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay of
-    the exposure (s), a longer readout time with the same start of the exposure (s), and rotations about the same axes
-    that grow from -1/2 to +1/2 during the exposure (rad).
+    The motions of the Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay of the
+    exposure (s), and a longer readout time with the same start of the exposure (s).  The last three are rotations about
+    the same axes that grow from -1/2 to +1/2 during the exposure (rad).
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera

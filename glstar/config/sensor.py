@@ -59,9 +59,7 @@ class SensorSection(Section):
     )
     psf_sigma_px: float = Field(default=_SENSOR.psf_sigma_px, gt=0, description="a positive number of pixels")
     pixel: Literal["integrated", "sampled"] = _SENSOR.pixel
-    preset: str | None = Field(
-        default=None, min_length=1, description="the name of a sensor or of one of its modes, in quotes"
-    )
+    preset: str | None = Field(default=None, min_length=1, description="the name of a sensor or of its mode, in quotes")
     vmag_0_e_per_s: float | None = Field(default=None, gt=0, description="a positive number of electrons per second")
     aperture_mm: float | None = Field(default=None, gt=0, description="a positive number of millimetres")
     lens_transmission: float | None = Field(default=None, gt=0, le=1, description="a number above 0, at most 1")

@@ -45,11 +45,11 @@ class Stepped(Protocol):
 class FlightEnv(gymnasium.Env[ObservationDict, Any]):
     """The frames of a flight as an environment of Gymnasium.
 
-    The observation is what a navigator has: ``pixels`` (height, width), and ``nav`` with ``utc_s`` (3,) and
-    ``q_body_ned`` (3, 4) at start, middle and end of the exposure, ``up_camera`` (3, 3) at these instants,
-    ``rates_rad_per_s`` (3,) and, where GPS is known, ``position`` (latitude and longitude, deg, height, m); zeros where
-    the estimate has a gap.  The truth is in ``info``.  An action is the time to the next exposure, (1,) s; with a first
-    `pose` it is the pose at the end of the step: ``q_body_ned`` (4,), normalised, and ``position`` (3,).
+    The observation is a navigator's: ``pixels`` (height, width), and ``nav``.  ``nav`` has ``utc_s`` (3,),
+    ``q_body_ned`` (3, 4) and ``up_camera`` (3, 3) at start, middle and end of the exposure, and ``rates_rad_per_s``
+    (3,); zeros where the estimate has a gap.  Where GPS is known, it has ``position`` (latitude and longitude, deg,
+    height, m).  The truth is in ``info``.  An action is the time to the next exposure, (1,) s; with a first `pose` it
+    is the pose at the end of the step: ``q_body_ned`` (4,), normalised, and ``position`` (3,).
     """
 
     def __init__(

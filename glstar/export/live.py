@@ -349,7 +349,7 @@ class LiveExport:
         return len(self._frames.skipped) - before
 
     def _report_lack(self, on_event: Callable[[str], None]) -> None:
-        """Report what is missing to draw a frame, once, and that nothing is any more; not while the link times out."""
+        """Report which data a frame lacks, once, and when it lacks none again; not while the link times out."""
         status = self._link.status()
         lacking = "; ".join(status.missing)
         if time.monotonic() > self._report_after_s and status.state == "live" and lacking != self._lacked:

@@ -176,7 +176,7 @@ class LiveFrames:
         return flight, estimate, start_s, gap
 
     def _record(self, task: FrameTask, number: int, flight: Flight, estimate: Estimate | None) -> dict[str, Any]:
-        """Return what the aircraft knows of a frame; empty where nobody needs it."""
+        """Return the aircraft's knowledge of a frame; empty if no record of a navigator is made."""
         if self.nav is None:
             return {}
         assert self.simulator is not None

@@ -93,15 +93,14 @@ class Navigator:
         """Return the record of one frame, ready for JSON.
 
         `exposure`: when the camera really exposed; `number`: the frame's number; `file`: its image; `gain`: the
-        analogue gain that an exposure control has set, which becomes ``analogue_gain``.  Returns ``schema,
-        frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s, readout_s,
-        readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure), ``up_camera`` (at the same
-        instants), ``C_camera_body``, ``camera``, ``position`` (null where GPS is denied) and ``conventions`` (what the
-        order of quaternions, the axes and pixel positions are, in words); the estimated attitude is
-        that of the time on the frame's stamp, which the clock's error moves; ``q_body_ned``, ``rates_rad_per_s`` and
-        ``up_camera`` are None where the estimate has a gap then; with a gimbal, all attitudes are those of its
-        platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the aircraft to the platform, by the gimbal's joints)
-        and ``q_aircraft_ned`` at the same instants.
+        analogue gain that an exposure control has set, which becomes ``analogue_gain``.  Returns ``schema, frame,
+        file``; ``utc``, ``q_body_ned`` and ``up_camera`` at start, middle and end of the exposure; ``duration_s,
+        readout_s, readout, C_camera_body, camera``; and ``rates_rad_per_s`` (forward, right, down; the mean over the
+        exposure).  ``position`` is null where GPS is denied.  ``conventions`` are the order of quaternions, the axes
+        and pixel positions, in words.  The estimated attitude is that of the time on the frame's stamp, which the
+        clock's error moves.  ``q_body_ned``, ``rates_rad_per_s`` and ``up_camera`` are None where the estimate has a
+        gap at that time.  With a gimbal, all attitudes are the platform's.  ``gimbal`` then has ``q_gimbal_aircraft``
+        (from the aircraft to the platform, by the gimbal's joints) and ``q_aircraft_ned`` at the same instants.
         """
         true_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         stamped_s = true_s + self.clock_offset_s

@@ -212,7 +212,7 @@ class AttitudeTrack:
             See `AttitudeTrack`.
         rates : ((m,) array_like, (m, 3) array_like), optional
             Gyro readings: UTC seconds since 1970, and turn rates about the body axes forward, right, down, rad/s; see
-            `gyro_aided`.  They help to detect resets of the estimator; ``"gyro"`` requires them.
+            `gyro_aided`.  Readings help to detect resets of the estimator; ``"gyro"`` requires them.
 
         Returns
         -------

@@ -36,10 +36,10 @@ class AttitudeErrorModel:
     """The errors of an estimated attitude: rotations of the body about its axes forward, right and down.
 
     Teague & Chahl, Drones 2023, 7(1), 52: the INS is the truth with a random constant and Perlin noise.  Drones 2024,
-    8(11), 652 takes what is left to be fixed to the body, so that an orbit averages it out; the part that turns once
-    per revolution is not.  ArduPilot's EKF3 in simulated orbits has 0.47 deg peak to peak of it in pitch, with constant
-    phase (pfabreu/cns, README, section 9, 2026): acceleration that is mistaken for gravity and points towards a fixed
-    direction of the compass.
+    8(11), 652 takes the remaining error to be fixed to the body, so that an orbit averages it out; the part that turns
+    once per revolution is not.  ArduPilot's EKF3 in simulated orbits has 0.47 deg peak to peak of it in pitch, with
+    constant phase (pfabreu/cns, README, section 9, 2026): acceleration that is mistaken for gravity and points towards
+    a fixed direction of the compass.
     """
 
     bias_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Constant errors in roll, pitch and yaw, rad

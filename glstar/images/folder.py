@@ -19,6 +19,7 @@ from glstar.errors import ImagesError, reason_of
 from glstar.flight import ONLY_CAMERA, Flight
 from glstar.images.decoding import FittedImage, fit, is_image, read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of, truth_files
+from glstar.system.userinput import no_such_file
 
 # Size of the cache of decoded images, bytes: 330 images of 1014 x 760, 20 of 12 megapixels.
 _CACHE_BYTES = 256 * 2**20
@@ -241,7 +242,7 @@ def choose_images(paths: Sequence[Path], *, table: Path | None = None) -> tuple[
         if path.is_dir():
             wanted[path] = None
         elif not path.is_file():
-            raise ImagesError(path, "is neither an image nor a folder of images")
+            raise ImagesError(path, _unusable(path))
         elif (names := wanted.setdefault(path.parent, set())) is not None:
             names.add(path.name)
     images: dict[Path, RealImage] = {}
@@ -294,6 +295,10 @@ def _nothing_usable(problems: list[str]) -> str:
     )
 
 
+def _unusable(path: Path) -> str:
+    return "is neither an image nor a folder of images" if path.exists() else f"{no_such_file(path)}, nor a folder"
+
+
 def triggered_images(
     paths: Sequence[Path], flight: Flight, at: str = ONLY_CAMERA, *, delay_s: float = 0.0
 ) -> list[RealImage]:
@@ -305,7 +310,7 @@ def triggered_images(
     """
     files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
     if missing := [path for path in files if not path.exists()]:
-        raise ImagesError(missing[0], "is neither an image nor a folder of images")
+        raise ImagesError(missing[0], _unusable(missing[0]))
     images = sorted((path for path in set(files) if path.is_file() and is_image(path)), key=_natural_order)
     triggers = flight.triggers_of(at)
     times_s = triggers.utc_s.tolist()

@@ -295,7 +295,7 @@ def truth_files(folder: Path) -> list[Path]:
 def read_truth(path: Path) -> dict[str, ImageTime]:
     """Return the times of the frames of a glstar export, by file name, from its ``truth.jsonl``.
 
-    They are the start of the exposure by the camera's clock, and its length.  Damaged lines are skipped.  Raises
+    A time is the start of the exposure by the camera's clock, and its length.  Damaged lines are skipped.  Raises
     OSError if the file cannot be read.
     """
     times: dict[str, ImageTime] = {}

@@ -10,8 +10,8 @@ HIL_STATE_QUATERNION  the same; its time is that of the simulator and is not use
 SIMSTATE              attitude, latitude and longitude, without a time; the height is that of GLOBAL_POSITION_INT
 ====================  ===============================================================================================
 
-Their time since boot is that of their arrival between two attitudes of the autopilot, which have a time: the time of
-the attitude before, plus the time between the two arrivals, and at most the time of the attitude after.
+A state's time since boot follows from its arrival between two attitudes of the autopilot, which have a time.  It is the
+time of the attitude before, plus the time between both arrivals, and at most the time of the attitude after.
 """
 
 from collections import deque

@@ -15,8 +15,8 @@ global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, t
 ======================  =============================================================================================
 
 The autopilot subtracts the delay from the time of arrival.  Heights are unknown.  ArduPilot ignores GPS_INPUT unless
-GPS1_TYPE is 14, treats one without a velocity as one of 0 m/s, whatever its flags say, and takes the least age of such
-messages for that of the link, so that a constant delay of the solver would stay in the position.
+GPS1_TYPE is 14, and treats a message without a velocity as one of 0 m/s, whatever its flags say.  It takes the least
+age of such messages for the link's delay, so that a constant delay of the solver would stay in the position.
 """
 
 from collections import deque
@@ -227,7 +227,7 @@ class PositionFix:
 
 
 class Injector:
-    """A queue of position fixes for the autopilot of a link; `sent` and `refused` count those that were, and were not.
+    """A queue of position fixes for the autopilot of a link; `sent` and `refused` count them.
 
     `host` repeats the host or serial port of the endpoint, if that is not this computer.  A fix is refused if it is too
     old for the autopilot, or farther than `max_km` from where the aircraft can have flown since the previous one;

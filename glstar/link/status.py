@@ -31,7 +31,7 @@ class LinkStatus:
     endpoint: str  # As the user named it
     # ``waiting``: open, without packets yet; ``timeout``: no packets for two seconds, after some had arrived.
     state: LinkState
-    problem: str | None  # What is wrong, for the user
+    problem: str | None  # The fault, for the user
     vehicle: str | None  # Kind of vehicle
     sysid: int | None  # Its MAVLink system
     systems: tuple[int, ...]  # MAVLink systems of all autopilots on the link
@@ -48,7 +48,7 @@ class LinkStatus:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What is missing for a flight, and how to provide it."""
+        """The data that a flight lacks, and how to provide each."""
         missing = []
         if self.age_s is None:
             missing.append("no attitude yet")

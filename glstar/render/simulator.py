@@ -204,9 +204,9 @@ class Simulator:
 
         Notes
         -----
-        Teague & Chahl, section 2.6.  Departs from the paper's n = 200 dt: n = max(ceil(200 dt), ceil(longest trail
-        / 1.5 sigma)), because at 60 deg/s a star moves by 20 px in 5 ms; the trail is measured at its fastest, so
-        that no part of it shows a sampling ripple.  Analytic trails have no sub-exposures: see
+        Teague & Chahl, section 2.6.  Departs from the paper's n = 200 dt: n = max(ceil(200 dt), ceil(longest trail /
+        1.5 sigma)), because at 60 deg/s a star moves by 20 px in 5 ms.  The trail is measured at its fastest, so that
+        no part of it shows a sampling ripple.  Analytic trails have no sub-exposures: see
         `glstar.render.motion.segmentation`.
         """
         scene = self._stacked(exposure) if exposure.frames > 1 else self._single(exposure)

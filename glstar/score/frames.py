@@ -69,7 +69,7 @@ class FrameTruth:
     # Name of the flight and number of the sample, in a data set: frames of one run follow each other
     run: tuple[str, int] = ("", 0)
     settings: Mapping[str, Any] = field(default_factory=dict)  # Settings of the sample of a sweep, by dotted key
-    # Those of `CONDITIONS` that the truth has
+    # Keys of `CONDITIONS` that the truth has
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -111,7 +111,7 @@ class FrameTruth:
     def attitude(self, instant: str) -> Float | None:
         """Return the rotation from ICRS to the camera at ``start``, ``middle`` or ``end`` of the exposure, (3, 3).
 
-        The truth has the attitude of mid-exposure.  Those of start and end follow from the rotation of the stars'
+        The truth has the attitude of mid-exposure.  Attitudes of start and end follow from the rotation of the stars'
         directions in the camera, in which refraction and aberration cancel except for their change; None for a frame
         with fewer than three stars.
         """

@@ -82,7 +82,7 @@ class GateLimit:
 
     @property
     def title(self) -> str:
-        """What is limited, for a message."""
+        """The limited quantity, for a message."""
         return self.metric if self.statistic is None else f"{self.metric} ({self.statistic})"
 
 

@@ -161,7 +161,7 @@ def _facts(one: FrameScore) -> str:
 
 
 def _answer_marks(one: FrameScore, star_px: float) -> list[tuple[str, str]]:
-    """Return what is drawn of an answer: the class of a path, and its data."""
+    """Return the drawing of an answer: the class of a path, and its data."""
     if one.answer is None:
         return []
     marks = [] if one.answer.stars is None else _star_marks(one.truth, one.answer.stars, star_px)

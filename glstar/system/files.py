@@ -4,7 +4,7 @@ A file is written under a temporary name, flushed, and renamed.  Without the flu
 write the new name before the content.  The new name is durable after its directory has been flushed too.
 
 Locks are those of flock(2), and of a byte range on Windows; the operating system releases them when a process ends.
-They are advisory, and exclude no process on file systems without locks (some network disks), where portalocker raises
+Locks are advisory, and exclude no process on file systems without locks (some network disks), where portalocker raises
 and filelock leaves files that exclude others after their process was killed.
 """
 
@@ -286,7 +286,7 @@ _CREATED_WITHIN_S = 3600.0
 class UnpackedFolder:
     """A temporary directory for unpacked files, `path`, which `cleanup` removes; a context manager.
 
-    Those of killed processes are removed first: their locks are free.
+    Directories of killed processes are removed first: their locks are free.
     """
 
     def __init__(self) -> None:

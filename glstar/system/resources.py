@@ -7,6 +7,21 @@ from pathlib import Path
 # Name of the bundled flight, in place of the path of a log.
 DEMO = "demo"
 
+# The pages of the manual by kind, as Diataxis divides documentation; within a kind in the order of a first reading.
+MANUAL_KINDS: dict[str, tuple[str, ...]] = {
+    "How-to: one task a page": (
+        *("tutorial", "installation", "problems", "mounts", "export", "learning", "viewer", "live", "fly"),
+        *("calibration", "comparison", "navigator", "score", "celestialfix", "python", "extending"),
+    ),
+    "Reference: every flag, key, format and word": (
+        *("commandline", "config", "truth", "logs", "conventions", "solvers", "bench", "glossary"),
+    ),
+    "Background: the models, with their measurements": (
+        *("sky", "sensor", "imaging", "rolling-shutter", "twins", "accuracy", "performance", "reliability"),
+        *("experiments", "paper", "surprises", "architecture"),
+    ),
+}
+
 
 def _inside(folder: str, name: str) -> Path:
     """Return a file of `glstar.<folder>`; in an editable install the folder is at the root of the checkout."""

@@ -37,7 +37,7 @@ from glstar.errors import LogFormatError, reading
 from glstar.flight import Flight, Interpolation
 from glstar.sky.place.site import Site
 from glstar.system.resources import DEMO, flight_path
-from glstar.system.userinput import refuse_more
+from glstar.system.userinput import no_such_file, refuse_more
 from glstar.telemetry import formats, synthetic
 from glstar.telemetry.bags import is_bag_directory
 from glstar.telemetry.dataflash import DataFlashReader
@@ -272,8 +272,11 @@ def _head(name: str) -> bytes:
         raise LogFormatError(name, "is a directory; name the log inside it")
     if path.exists() and not path.is_file():
         raise LogFormatError(name, "is no file that can be read twice; save the log to disk first")
-    with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except FileNotFoundError:
+        raise LogFormatError(name, f"{no_such_file(name)}; demo is the bundled flight") from None
     if not head:
         raise LogFormatError(name, "is empty: 0 bytes", offset=0)
     return head

@@ -114,9 +114,7 @@ KEYS: Mapping[str, Setting] = {
     "longitude_deg": Setting(_radians, "138.60", "its longitude, deg, east positive"),
     "height_m": Setting(_number, "300", "height above the WGS84 ellipsoid, m"),
     "utc_start": Setting(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
-    "duration_s": Setting(
-        _number, "", "duration, s; by default that of the turns of an orbit or of all waypoints, else 60"
-    ),
+    "duration_s": Setting(_number, "", "duration, s; by default an orbit's turns or all waypoints, else 60"),
     "airspeed_m_per_s": Setting(_number, "18", "speed through the air, m/s"),
     "radius_m": Setting(_number, "150", "radius of an orbit, m"),
     "turns": Setting(_number, "1", "number of orbits, if there is no duration"),

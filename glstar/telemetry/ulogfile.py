@@ -1,8 +1,9 @@
 """The topics of a ULog file, or of the CSV files that ulog2csv writes of it.
 
-A log is a sequence of messages, each with a size, a letter and a body: definitions first (``F`` defines the fields of a
-topic, ``A`` assigns a number to a topic, ``I`` is information about the log), then samples (``D``).  pyulog decodes the
-complete messages of one topic at a time, on first use, because with a damaged file it may never finish.
+A log is a sequence of messages, each with a size, a letter and a body.  Definitions come first: ``F`` defines the
+fields of a topic, ``A`` assigns a number to a topic, ``I`` is information about the log.  Then come samples (``D``).
+pyulog decodes the complete messages of one topic at a time, on first use, because with a damaged file it may never
+finish.
 """
 
 import io
@@ -93,7 +94,9 @@ class LogTopics(Topics):
         with Path(path).open("rb") as file:
             self._file_bytes = os.fstat(file.fileno()).st_size
             if self._file_bytes < _FILE_HEAD_BYTES:
-                raise LogFormatError(path, f"the log is cut off in its head: {self._file_bytes} bytes", offset=0)
+                raise LogFormatError(
+                    path, f"the log is cut off in its head: {self._file_bytes} bytes; copy it again", offset=0
+                )
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
                 self._index = _index(raw, start, len(raw) if stop is None else stop)
         if self._index.unknown:

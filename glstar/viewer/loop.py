@@ -411,7 +411,7 @@ class Viewer:
         return None if self._video_px is None else cut_picture(self._surface.target, self._surface.size, self._video_px)
 
     def close(self) -> None:
-        """Stop exports and threads, store what is remembered, and release all objects; a second call does nothing."""
+        """Stop exports and threads, store the window's state, and release all objects; a second call does nothing."""
         self._memory.night = self.session.night
         self._memory.overlays = frozenset(self.session.shown_overlays)
         self._memory.place = self.interface.sky.place

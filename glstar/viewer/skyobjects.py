@@ -1,7 +1,8 @@
 """Stars, constellations, the Sun, the Moon and planets in the window.
 
-Search by name or catalogue number; position of an object with respect to the image, and when it enters the image; the
-star whose trail is under the mouse; the selected object with its truth and its profile in the exposure shown.
+Objects are found by name or catalogue number, and stars by the trail under the mouse.  An object has its position with
+respect to the image, and the time when it enters the image.  The selected object has its truth and its profile in the
+exposure shown.
 """
 
 import json
@@ -261,7 +262,7 @@ class SkySearch:
     def matches(self, query: str, *, limit: int = 12) -> list[SkyObject]:
         """Return the objects whose names match a query, the best first.
 
-        They are sorted by match (complete name, beginning of a name, of a word, anywhere), kind and magnitude.
+        Objects are sorted by match (complete name, beginning of a name, of a word, anywhere), kind and magnitude.
         `query`: a name or the beginning of one of its words, a designation with a Greek letter or its name (``"α
         cma"``, ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"2491"``); case and accents are
         ignored; `limit`: the largest number of objects returned.

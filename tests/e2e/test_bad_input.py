@@ -118,8 +118,18 @@ def test_a_missing_log_is_refused(config: Path, frames: Path, tmp_path: Path) ->
     line = refused("export", tmp_path / "none.BIN", "-c", config, "-o", frames)
 
     assert "none.BIN" in line
-    assert "No such file" in line
+    assert "there is no such file; demo is the bundled flight" in line
     assert not frames.exists()
+
+
+@pytest.mark.parametrize("words", [("info", "fligt.BIN"), ("export", "flight.BIN", "-c", "fligt.BIN", "-o", "frames")])
+def test_a_misspelt_file_is_refused_with_the_most_similar_one(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(asset("adelaide.BIN"), "flight.BIN")
+
+    assert "fligt.BIN: there is no such file (did you mean flight.BIN?)" in refused(*words)
 
 
 def test_an_empty_log_is_refused(config: Path, frames: Path, tmp_path: Path) -> None:
@@ -551,6 +561,38 @@ def test_an_invalid_command_line_exits_with_2(
     assert "Error" in result.err
     assert "Traceback" not in result.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "message"),
+    [
+        ("--workers", "-3", "must be 1 or more, not -3"),
+        ("--workers", "many", "must be a whole number, not many"),
+        ("--seed", "1.5", "must be a whole number, not 1.5"),
+        ("--exposure", "long", "must be a number, not long"),
+        ("--format", "pngg", "'fits', 'jpeg'. (did you mean 'png'?)"),
+    ],
+)
+def test_a_wrong_value_of_a_flag_is_refused_with_what_it_must_be(
+    flag: str, value: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+
+    result = invoke("export", "demo", "-o", "frames", flag, value)
+
+    assert result.rc == 2
+    assert f"Invalid value for '{flag}': " in result.err
+    assert message in result.err
+    assert "Value error" not in result.err
+
+
+def test_a_wrong_key_that_a_flag_sets_is_refused_with_the_flag(tmp_path: Path) -> None:
+    config = tmp_path / "night.toml"
+    config.write_text("[exposure]\nduration_s = -1\n", encoding="utf-8")
+
+    assert "glstar: --exposure: exposure.duration_s: must be" in refused("export", "-o", "frames", "--exposure", "-1")
+    assert " | --every: exposure.interval_s: must" in refused("export", "-o", "x", "--exposure=-1", "--every", "0")
+    assert "--exposure: " not in refused("export", "-o", "x", "-c", config, "--every", "1")
 
 
 def test_traceback_shows_the_source_of_an_error(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_what_cannot_be_meant_is_one_line(taken: Path, tmp_path: Path) -> None:
         ("needs a flight and images", [frames]),
         ("need a flight", [frames, "--against", frames, "--fit-mount"]),
         ("need a flight", [frames, "--against", frames, "--fit-readout"]),
-        ("neither an image nor a folder", [flight, tmp_path / "nowhere"]),
+        ("there is no such file, nor a folder", [flight, tmp_path / "nowhere"]),
         ("not a folder of images", [frames, "--against", tmp_path / "nowhere"]),
     ):
         result = run("compare", *arguments, "-c", camera, "-o", tmp_path / "out")

@@ -7,19 +7,33 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.cli.machine.manual import summary
-from glstar.system.resources import manual_pages
+from glstar.system.resources import MANUAL_KINDS, manual_pages
 
 
 def manual(*words):
     return CliRunner().invoke(app, ["manual", *words])
 
 
-def test_the_list_names_every_page_with_a_sentence():
+def test_every_page_is_of_one_kind():
+    assert sorted(topic for topics in MANUAL_KINDS.values() for topic in topics) == list(manual_pages())
+
+
+def test_the_list_names_every_page_by_kind_with_a_sentence():
     printed = manual().output
 
-    topics = re.findall(r"^([\w-]+)  +\S.*$", printed, re.MULTILINE)
-    assert topics[: len(manual_pages())] == list(manual_pages())
+    expected = [line for kind, topics in MANUAL_KINDS.items() for line in (kind, *topics)]
+    listed = re.findall(rf"^({'|'.join(map(re.escape, MANUAL_KINDS))}|[\w-]+(?=  +\S))", printed, re.MULTILINE)
+    assert listed == expected
     assert max(map(len, printed.splitlines())) < 130
+
+
+@pytest.mark.parametrize("topic", next(iter(MANUAL_KINDS.values())))
+def test_a_page_of_one_task_has_no_measurements(topic):
+    """Standard errors, benchmarks, processor times and dated figures belong to a page of background."""
+    text = manual_pages()[topic].read_text(encoding="utf-8")
+
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    assert re.findall(r".*(?: ± |poe bench|processor time|, 20\d\d-\d\d-\d\d[):]|\(tested\)).*", prose) == []
 
 
 @pytest.mark.parametrize("topic", manual_pages())
@@ -51,14 +65,24 @@ def test_an_unknown_topic_prints_the_list():
     assert "(the pages are accuracy, " in manual("xyzzy").output
 
 
-def test_a_word_is_found_on_all_pages_the_richest_first():
-    printed = manual("yolo").output
+@pytest.mark.parametrize(
+    ("word", "first", "heading"),
+    [
+        ("yolo", "learning", "## A training set for YOLO"),
+        ("mount", "mounts", "# Mounts"),
+        ("ros", "logs", "## ROS bags"),
+    ],
+)
+def test_a_word_is_found_on_all_pages_those_with_a_heading_first(word, first, heading):
+    printed = manual(word).output
 
-    topics = re.findall(r"^([a-z]+): (\d+)$", printed, re.MULTILINE)
-    counts = [int(count) for _, count in topics]
-    assert [topic for topic, _ in topics][:2] == ["learning", "export"]
-    assert counts == sorted(counts, reverse=True)
-    assert "## A training set for YOLO" in printed
+    topics, counts = zip(*re.findall(r"^([\w-]+): (\d+)$", printed, re.MULTILINE), strict=True)
+    prose = [re.sub(r"^```.*?^```$", "", manual_pages()[topic].read_text(), flags=re.S | re.M) for topic in topics]
+    headed = [bool(re.search(rf"^#+ .*{word}", text, re.IGNORECASE | re.MULTILINE)) for text in prose]
+    pages = list(zip(headed, map(int, counts), strict=True))
+    assert topics[0] == first
+    assert re.search(rf"^{first}: \d+\n +\d+  {heading}$", printed, re.MULTILINE)
+    assert pages == sorted(pages, reverse=True)
     assert max(map(len, printed.splitlines())) <= 80
 
 
@@ -82,7 +106,10 @@ def test_a_word_is_found_inside_a_long_line():
         ("mount", "mounts", "forward-up-30"),
         ("day log", "problems", "--utc-start"),
         ("figures comparison", "problems", "centroid distance"),
+        ("figures compare", "problems", "centroid distance"),
         ("killed", "problems", "glstar export --recover DIR"),
+        ("recover", "problems", "glstar export --recover DIR"),
+        ("training set", "learning", "--to yolo"),
         ("yolo", "learning", "--to yolo"),
     ],
 )

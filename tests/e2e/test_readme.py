@@ -1,6 +1,7 @@
 """The README is short, its links are valid, and continuous integration runs its two commands."""
 
 import re
+import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -39,6 +40,13 @@ def test_the_readme_lists_every_command() -> None:
     program = get_command(app)
     assert sorted(listed) == sorted(name for name in program.list_commands(None) if not program.commands[name].hidden)
     assert len(listed) <= 12
+
+
+def test_one_table_of_the_readme_has_every_extra() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    table = README.partition("## Extras")[2].partition("## ")[0]
+
+    assert set(settings["project"]["optional-dependencies"]) <= set(re.findall(r"`(\w+)`", table))
 
 
 def test_the_readme_is_short() -> None:

@@ -40,29 +40,28 @@ BODY = """
 `trail_peak_dn` and `snr` follow the true path: a vibrating trail is brightest where it passes several times. See
 `glstar manual accuracy` for their errors on real flights.
 
-- With scintillation, `flux_dn`, `trail_peak_dn`, `snr` and `flux_e` are those without it.
-- With cloud, `peak_dn` and `flux_dn` are those above the cloud; `trail_peak_dn`, `snr` and `flux_e` those of the dimmed
-  trail.
+- With scintillation, `flux_dn`, `trail_peak_dn`, `snr` and `flux_e` leave it out.
+- With cloud, `peak_dn` and `flux_dn` leave it out; `trail_peak_dn`, `snr` and `flux_e` follow the dimmed trail.
 
 ## Rolling shutter
 
 With `[exposure] readout_s` above 0, `utc_start` is when the first row opens, and `utc_mid` the middle of the middle
 row's exposure. `x_px`, `y_px`, `start`, `end`, the centroid and `in_frame` of a star belong to the time during which
 the row of its centre is open; `mid_offset_s`, `exposed_s` and `light_dn` describe it. `trail_peak_dn`, `snr` and
-`flux_e` are those of the light that the star leaves.
+`flux_e` follow the light that the star leaves.
 
 In a [stacked image](#stacked-exposures) `exposed_s` is the sum of all short exposures, `light_dn` is `flux_dn` times
-`exposed_s / (frames * duration_s)`, and `segments` begin and end when the row of the star opens and closes. The size
-and the bright limb of a body are those in the middle of the exposure of the row of its centre.
+`exposed_s / (frames * duration_s)`, and `segments` begin and end when the row of the star opens and closes. A body's
+size and bright limb hold at mid-exposure of its central row.
 
 ## Stacked exposures
 
-With `[exposure] frames` above 1, `utc_start` is the first opening, and `utc_mid` with all that belongs to it
-(attitude, `x_px`, `y_px`) the middle of `total_s`, even if the shutter is closed then. Of a star, `start` and `end`
-are those of the whole image, the centroid and `in_frame` are means over the time during which the shutter is open,
-`peak_dn`, `flux_dn`, `trail_peak_dn`, `snr` and `flux_e` are those of the sum or the mean, and `saturated` says
-whether any short exposure is. With `gap_s = 0` each of its `segments` begins exactly where the one before it ends.
-Other keys of the frame, such as `sensor`, describe one short exposure. CSV leaves `segments` out.
+With `[exposure] frames` above 1, `utc_start` is the first opening, and `utc_mid` with all that belongs to it (attitude,
+`x_px`, `y_px`) the middle of `total_s`, even if the shutter is closed then. A star's `start` and `end` belong to the
+whole image; the centroid and `in_frame` are means over the time during which the shutter is open. `peak_dn`, `flux_dn`,
+`trail_peak_dn`, `snr` and `flux_e` belong to the sum or the mean. `saturated` says whether the star is saturated in any
+short exposure. With `gap_s = 0` each segment begins exactly where the one before it ends. Other keys of the frame, such
+as `sensor`, describe one short exposure. CSV leaves `segments` out.
 
 ## Body
 
@@ -75,7 +74,7 @@ SATELLITE = """
 
 With `[sky] satellites`, every satellite whose light touches the image has one entry: the keys of a star but `star_id`,
 and these. `vmag` is the brightest of the exposure in full sunlight, and `peak_dn` and `flux_dn` belong to it; `lit` of
-that flux arrives. `snr` and `trail_peak_dn` are those of the light that arrives.
+that flux arrives. `snr` and `trail_peak_dn` follow the light that arrives.
 
 """
 
@@ -98,11 +97,10 @@ boresight_icrs = np.array(frame["C_camera_icrs"])[2]
 ```
 
 `--parquet` writes the same as tables, `frames.parquet` and `stars.parquet`, and `bodies.parquet` and
-`satellites.parquet` if there are any; `frame` joins them. Every key is a column: those of nested objects as
-`sensor_noise`, those of `site`, `camera` and `settings` without a prefix, `start` as `start_x_px` and `start_y_px`. A
-key that only some frames have is empty for the others. `glstar convert frames -o truth.csv` writes CSV tables,
-`truth-stars.csv` and so on beside `truth.csv`. `tests/examples/read_truth.py` loads the truth with pandas.
-"""
+`satellites.parquet` if there are any; `frame` joins them. Every key is a column. Keys of nested objects have names such
+as `sensor_noise`, keys of `site`, `camera` and `settings` have no prefix, and `start` is `start_x_px` and `start_y_px`.
+A key that only some frames have is empty for the others. `glstar convert frames -o truth.csv` writes CSV tables,
+`truth-stars.csv` and so on beside `truth.csv`. `tests/examples/read_truth.py` loads the truth with pandas. """
 
 
 def page() -> str:

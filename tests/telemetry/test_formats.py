@@ -46,7 +46,7 @@ def test_the_help_of_logs_names_suffixes_of_the_table(texts: set[str]) -> None:
 
 def test_the_manual_names_every_format_of_the_table() -> None:
     page = asset("manual/logs.md").read_text(encoding="utf-8")
-    rows = page[page.index("| log |") : page.index("Each of them may be gzipped")]
+    rows = page[page.index("| log |") : page.index("Each log may be gzipped")]
 
     for entry in LOG_FORMATS:
         for suffix in entry.suffixes:

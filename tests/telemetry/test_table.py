@@ -310,7 +310,7 @@ def test_only_telemetry_logs_accept_a_system_number(path: Path) -> None:
 
 
 def test_a_missing_file_and_a_directory_have_different_messages(tmp_path: Path) -> None:
-    assert refusal(tmp_path / "gone.BIN") == "cannot be read: No such file or directory"
+    assert refusal(tmp_path / "gone.BIN") == "there is no such file; demo is the bundled flight"
     assert refusal(tmp_path) == "is a directory; name the log inside it"
 
 

@@ -115,8 +115,8 @@ def fit_readout(
     """Fit the readout time of a rolling shutter to one or more images of one camera on a turning aircraft.
 
     `names`: the images' names, for error messages; `detected`, `reference`, `identified`: detections, reference stars
-    with the turns of their rows, and identified stars of each image; all with a readout time that shifts no star by
-    more than 1 % of the image's width (`search_readout`); `lens` {"auto", "none", "plumb_bob", "rational", "fisheye"}.
+    with the turns of their rows, and identified stars of each image.  All have a readout time that shifts no star by
+    more than 1 % of the image's width (`search_readout`).  `lens` {"auto", "none", "plumb_bob", "rational", "fisheye"}.
     Raises CalibrationError if the aircraft turned too little to measure the readout time, or if the images are not of
     one camera.
     """

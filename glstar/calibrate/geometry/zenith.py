@@ -155,9 +155,10 @@ def find_zenith(
     """Return the reference stars with the zenith that the refraction of a photograph shows, if it shows one.
 
     `matches`: identified stars; `refraction_scale`: the result of `glstar.sky.air.refraction.refraction_scale` for the
-    air; 0 for no refraction.  The stars are unchanged if they have a zenith already; with fewer than 30 stars; and if
-    Bayes' information criterion prefers a lens without refraction or much thinner air, or does not distinguish the
-    zenith from one on the opposite side of the image.  The refraction is that of Teague & Chahl, eq. (25).
+    air; 0 for no refraction.  The stars are unchanged if they have a zenith already, or if there are fewer than 30
+    stars.  They are also unchanged if Bayes' information criterion prefers a lens without refraction or much thinner
+    air, or does not distinguish the zenith from one on the opposite side of the image.  The refraction is that of
+    Teague & Chahl, eq. (25).
     """
     if not refraction_scale or reference.zenith_eq.any() or reference.rows is not None or len(matches) < _LEAST_STARS:
         return reference

@@ -1,7 +1,7 @@
 """Plate solutions: the camera and the attitude that map the sky to an image.
 
-Also the catalogue stars that an image may show, over a site or without one; the sidereal motion of stars over the image
-of a camera at rest; and the matches of stars with detections, and whether chance could explain them.
+Also the catalogue stars that an image may show, over a site or without one, and the sidereal motion of stars over the
+image of a camera at rest.  Matches of stars with detections are tested for whether chance could explain them.
 """
 
 import itertools
@@ -67,10 +67,10 @@ class ReferenceStars:
     def refraction_error(self, axis_eq: Float) -> tuple[float, float]:
         """Return the standard errors that unknown refraction gives a camera: 0 if site and time are known.
 
-        `axis_eq` (3,): its optical axis.  Returns those of the focal length, and of the principal point along x and
-        along y, each over the focal length.  At the zenith distance z refraction is S tan z.  It brings stars together
-        by S along the horizon and by S / cos^2 z towards the zenith, which a camera takes as a focal length shorter by
-        S (1 + 1 / cos^2 z) / 2; the next derivative moves its principal point by S tan z / cos^2 z.
+        `axis_eq` (3,): its optical axis.  Returns the errors of the focal length, and of the principal point along x
+        and along y, each over the focal length.  At the zenith distance z refraction is S tan z.  It brings stars
+        together by S along the horizon and by S / cos^2 z towards the zenith.  A camera takes that as a focal length
+        shorter by S (1 + 1 / cos^2 z) / 2; the next derivative moves its principal point by S tan z / cos^2 z.
         """
         if self.C_ned_eq is not None:
             return 0.0, 0.0

@@ -102,7 +102,7 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
 
     `image_dn` (height, width); `starless` (height, width) bool: pixels without a star.  Teague & Chahl, eq. (40).
     Departs from section 2.5: the noise is measured about the local background, so that a gradient does not count as
-    noise; undetected stars are clipped; and if the background is clipped at 0 DN, a truncated Gaussian is fitted,
+    noise, and undetected stars are clipped.  If the background is clipped at 0 DN, a truncated Gaussian is fitted,
     because the simulator clips it again.
     """
     if starless.sum() < _MIN_PIXELS:

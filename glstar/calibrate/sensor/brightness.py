@@ -210,7 +210,7 @@ class AirTerm:
 
     @property
     def note(self) -> Note:
-        """What was done, for the user."""
+        """The extinction that was taken out, for the user."""
         masses = f"air masses {self.lowest_mass:.2f} to {self.highest_mass:.2f}"
         how = "as given" if self.error_mag is None else f"± {self.error_mag:.3f}, fitted"
         return Note(

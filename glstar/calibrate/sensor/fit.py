@@ -207,11 +207,11 @@ def fit_brightness(
 
     `vmag`, `peak_dn` (n,): magnitudes, and amplitudes above the sky, DN; `used` (n,) bool: the stars to use: neither
     saturated nor below the noise; `criterion` {"median", "paper"}: ``"paper"``: eq. (38), the one star from which eq.
-    (37) predicts the others best, by the sum of squares in DN. ``"median"``: the median of the stars' brightness, each
+    (37) predicts the others best, by the sum of squares in DN.  ``"median"``: the median of the stars' brightness, each
     reduced to the reference's magnitude, in log space; `sloping` (n,) bool: stars for the slope of brightness over
-    magnitude; by default the same.  Teague & Chahl, eqs (36)-(38).  Departs from eq. (38) by default: with magnitudes
-    wrong by 0.42 mag, as in the paper, and 40 stars, eq. (38) is 0.11 mag too faint with a scatter of 0.17, because the
-    brightest stars dominate the sum; the median is unbiased and scatters by 0.09.
+    magnitude; by default the same.  Teague & Chahl, eqs (36)-(38).  Departs from eq. (38) by default, because the
+    brightest stars dominate its sum.  With magnitudes wrong by 0.42 mag, as in the paper, and 40 stars, eq. (38) is
+    0.11 mag too faint with a scatter of 0.17; the median is unbiased and scatters by 0.09.
     """
     m, peak = vmag[used], peak_dn[used]
     if criterion == "paper":

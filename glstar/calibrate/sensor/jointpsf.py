@@ -187,7 +187,7 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
     `stamps`: of isolated stars, most of them not saturated; `start_sigma_px`: approximate width, px.  Returns a
     Gaussian; with a Moffat exponent, wings, growth, tilt, colour and ellipticity each only where they lower the
     residuals clearly and exceed their standard errors.  Weighted least squares on all pixels of all stars with the
-    renderer's own sums of Gaussians, integrated over pixels and along the sidereal trails; flux and sky of each star
+    renderer's own sums of Gaussians, integrated over pixels and along the sidereal trails.  Flux and sky of each star
     are solved for each shape (variable projection, Golub & Pereyra 1973), positions in turns with the shape.
     """
     names: tuple[str, ...] = ("sigma",)

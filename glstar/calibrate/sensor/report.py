@@ -54,10 +54,10 @@ def prepare_to_draw() -> None:
 def draw_report(calibration: Calibration) -> bytes:
     """Return the report of a calibration as a PNG.
 
-    Returns the photograph with its stars labelled, beside a simulated image of the same sky; brightness against
-    magnitude with the fit and its residuals (the paper's figure 2); width against magnitude (figure 3); one star
-    measured and simulated (figure 4); the residuals of the positions; effects that the sensor model lacks: the mean
-    profile, and brightness and width against the distance from the optical axis.
+    It has the photograph with its stars labelled, beside a simulated image of the same sky.  Then follow
+    brightness against magnitude with the fit and its residuals (the paper's figure 2), width against magnitude (figure
+    3), and one star measured and simulated (figure 4).  The last are the residuals of the positions, and effects that
+    the sensor model lacks: the mean profile, and brightness and width against the distance from the optical axis.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # If there are more gaps, they are counted instead of listed.
 _GAPS_LISTED = 5
-# Width of what is written of one log to a pipe, characters.
+# Width of a report of one log that is written to a pipe, characters.
 _PIPE_COLUMNS = 140
 # A larger step between two samples of an angle is a wrap-around, deg.
 _WRAP_DEG = 180.0

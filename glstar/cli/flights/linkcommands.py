@@ -37,7 +37,7 @@ def answer(
     timeout: Annotated[float, typer.Option(help="How long to wait for glstar live, s.", min=0.1, max=600)] = 5.0,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
-    """Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.
+    """Send a navigator's answer to glstar live, or the lines of the standard input, one JSON answer each.
 
     Frames of --export and --latest-frame are named by --frame; a live window takes --utc.
 

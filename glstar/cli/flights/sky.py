@@ -128,7 +128,7 @@ def sky(
 
 
 class _Listing(NamedTuple):
-    """What is printed: rows and their columns, the table of a terminal, and what limits the accuracy."""
+    """The printed result: rows and their columns, the table of a terminal, and the limits of the accuracy."""
 
     rows: list[_Row]
     columns: Sequence[str]

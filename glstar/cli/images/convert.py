@@ -42,10 +42,9 @@ def convert(
     to: Annotated[
         Literal["mcap", "ros2", "csv", "srt", "png", "jpeg", "coco", "yolo", "webdataset"] | None,
         typer.Option(
-            help="MCAP file or directory of a ROS 2 bag (Image, CameraInfo, Imu, NavSatFix, TF), the truth as CSV"
-            " tables or as subtitles of the video (SubRip), images with EXIF (UTC, exposure, position), labels of"
-            " trails as COCO or YOLO, or tar files for"
-            " WebDataset.",
+            help="MCAP file or directory of a ROS 2 bag (Image, CameraInfo, Imu, NavSatFix, TF). The truth as CSV"
+            " tables or as subtitles of the video (SubRip). Images with EXIF (UTC, exposure, position). Labels of"
+            " trails as COCO or YOLO, or tar files for WebDataset.",
             show_default="by the suffix of the output: .mcap, .csv or .srt",
         ),
     ] = None,

@@ -279,7 +279,7 @@ def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> No
         files = len({finding.file for finding in outcome.findings})
         typer.echo(
             f"glstar: {outcome.directory}: {files} file{'s are' if files != 1 else ' is'} wrong; remove"
-            f" {'them' if files != 1 else 'it'} and run the same command without --verify: it draws what is missing",
+            f" {'them' if files != 1 else 'it'} and run the same command without --verify: it draws the missing frames",
             err=True,
         )
         raise typer.Exit(1)

@@ -162,7 +162,7 @@ Parquet = Annotated[bool, typer.Option("--parquet", help="Write the truth as Par
 Split = Annotated[
     Literal["flight", "flight:exact"] | None,
     typer.Option(
-        help="Write train.txt, validation.txt and test.txt: every flight with all of its frames in one of them, by its"
+        help="Write train.txt, validation.txt and test.txt: every flight with all of its frames in one list, by its"
         " hash, or exact: dealt out by the number of frames.",
         show_default="no",
     ),

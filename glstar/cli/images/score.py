@@ -141,7 +141,7 @@ def _report_gate(gate: Path, limits: Sequence[GateLimit], verdicts: Sequence[Ver
 
 
 def _warn_of(answers: Path, faults: Sequence[str]) -> None:
-    """Write what is wrong with lines that are no valid answers, each of the first ones in a line."""
+    """Write the faults of lines that are no valid answers, each of the first ones in a line."""
     for fault in faults[:_MOST_FAULTS]:
         typer.echo(f"{answers}: {fault}; not counted", err=True)
     if len(faults) > _MOST_FAULTS:

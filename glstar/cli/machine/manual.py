@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Iterator
 from typing import Annotated
 
 import typer
@@ -11,7 +12,7 @@ from rich.table import Table
 
 from glstar.cli.tables import print_table
 from glstar.errors import ConfigError
-from glstar.system.resources import manual_pages
+from glstar.system.resources import MANUAL_KINDS, manual_pages
 from glstar.system.userinput import nearest_word
 
 # The widest text column in a terminal, in characters; longer lines are hard to read.
@@ -72,21 +73,32 @@ def summary(page_text: str) -> str:
 
 
 def _print_lines(words: list[str]) -> None:
-    """Print the lines of all pages that have all words, the pages with most of them first; ConfigError if none has."""
+    """Print the lines of all pages that have all words; ConfigError if none has.
+
+    Headings come before other lines, and pages with a heading before pages with more lines.
+    """
     found = {}
     for topic, page in manual_pages().items():
-        lines = enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
-        if hits := [(number, line) for number, line in lines if all(word in line.lower() for word in words)]:
-            found[topic] = hits
+        lines = _lines(page.read_text(encoding="utf-8"))
+        if hits := [hit for hit in lines if all(word in hit[2].lower() for word in words)]:
+            found[topic] = sorted(hits)
     near = nearest_word(words[0], manual_pages())
     if not found:
         suggestion = f" (did you mean {near}?)" if near else f" (the pages are {', '.join(manual_pages())})"
         raise ConfigError(f"the manual has no page {' '.join(words)!r} and no line with it{suggestion}")
-    for topic, hits in sorted(found.items(), key=lambda item: -len(item[1])):
+    for topic, hits in sorted(found.items(), key=lambda item: (item[1][0][0], -len(item[1]))):
         typer.echo(f"{topic}: {len(hits)}")
-        for number, line in hits[:_LINES]:
+        for _, number, line in hits[:_LINES]:
             typer.echo(f"  {number:4}  {_around(line.strip(), words[0])}")
     typer.echo(f"\nglstar manual TOPIC prints a page{f'; did you mean {near}?' if near else ''}")
+
+
+def _lines(page_text: str) -> Iterator[tuple[bool, int, str]]:
+    """Yield of each line of a page whether it is no heading, its number, and the line."""
+    is_code = False
+    for number, line in enumerate(page_text.splitlines(), 1):
+        is_code ^= line.startswith("```")
+        yield is_code or not line.startswith("#"), number, line
 
 
 def _around(line: str, word: str) -> str:
@@ -98,9 +110,14 @@ def _around(line: str, word: str) -> str:
 
 
 def _print_topics() -> None:
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for topic, page in manual_pages().items():
-        table.add_row(topic, summary(page.read_text(encoding="utf-8")))
-    print_table(table)
-    typer.echo("\nglstar manual TOPIC prints a page, glstar manual WORDS finds lines")
+    pages = manual_pages()
+    for kind, topics in MANUAL_KINDS.items():
+        table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+        table.add_column(min_width=max(map(len, pages)))
+        for topic in topics:
+            table.add_row(topic, summary(pages[topic].read_text(encoding="utf-8")))
+        typer.echo(f"{kind}\n")
+        print_table(table)
+        typer.echo("")
+    typer.echo("glstar manual TOPIC prints a page, glstar manual WORDS finds lines")
     typer.echo("Start with: glstar manual tutorial")

@@ -1,1 +1,1 @@
-"""What is to be drawn: the frames of a flight or a data set, and the manifest that describes them."""
+"""The plan of an export: the frames of a flight or a data set, and the manifest that describes them."""

@@ -119,7 +119,7 @@ class AnswerReceiver:
     def lines(self, timeout_s: float) -> list[str]:
         """Return the lines of the next message; none if nothing arrives within `timeout_s`.
 
-        What is no text, or has too many lines, is one line, which is no answer.
+        A message that is no text, or has too many lines, is one line, which is no answer.
         """
         if not self._bound.socket.poll(round(timeout_s * 1e3)):
             return []

@@ -1,8 +1,8 @@
 """Executors draw the frames of a task: in this process, in several processes, or on a Dask cluster.
 
 This module has the interface, the executor that uses the calling process only, and the functions with which every
-process draws, writes and checks frames, in a pipeline of threads: while a frame is drawn, the next is composed and
-earlier ones are encoded and written.
+process draws, writes and checks frames, in a pipeline of threads.  While a frame is drawn, the next is composed and
+earlier frames are encoded and written.
 """
 
 import os

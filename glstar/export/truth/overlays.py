@@ -110,7 +110,7 @@ class Circle(NamedTuple):
 
 
 class Overlay(NamedTuple):
-    """What is drawn over an image, in pixels from the corner of its top left one."""
+    """Marks and lines over an image, in pixels from the corner of its top left one."""
 
     circles: tuple[Circle, ...]
     lines: tuple[tuple[Point, Point], ...]

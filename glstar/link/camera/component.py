@@ -70,7 +70,7 @@ class Capture:
     command: str  # Such as IMAGE_START_CAPTURE
     sender: Sender  # System and component that sent it
     sequence: int  # Number that the sender gave the picture, 0 if none
-    settings: Mapping[str, float] = field(default_factory=dict)  # Those that can be changed, by the key of the config
+    settings: Mapping[str, float] = field(default_factory=dict)  # Changeable settings, by the key of the config
 
     @property
     def about(self) -> dict[str, Any]:
@@ -238,7 +238,7 @@ class CameraComponent:
 
     @property
     def settings(self) -> Mapping[str, float]:
-        """Those that can be changed, as they are now, by the key of the config."""
+        """The present settings that can be changed, by the key of the config."""
         return self._parameters.values
 
     def captured(self, image: CapturedImage) -> None:

@@ -1,7 +1,8 @@
 """Settings of a MAVLink camera that a ground station changes, and the definition file that describes them.
 
-They are the extended parameters of MAVLink, https://mavlink.io/en/services/parameter_ext.html, whose values are bytes
-and not text, and the file of https://mavlink.io/en/services/camera_def.html, XML at the URI of CAMERA_INFORMATION.
+The settings are the extended parameters of MAVLink, https://mavlink.io/en/services/parameter_ext.html, whose values are
+bytes and not text, and the file of https://mavlink.io/en/services/camera_def.html, XML at the URI of
+CAMERA_INFORMATION.
 """
 
 import struct

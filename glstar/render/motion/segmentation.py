@@ -84,8 +84,8 @@ def segment_times(
 ) -> Float | None:
     """Return the ends and the middles of the segments of an exposure, (2 m + 1,) UTC seconds since 1970.
 
-    They are the start, the middle and the end of the first segment, which is the start of the second, and so on; None
-    if the motion is so rough that it takes more segments than `most`.
+    The times are the start, the middle and the end of the first segment, which is the start of the second, and so on;
+    None if the motion is so rough that it takes more segments than `most`.
 
     - `nodes_s` (n,): start and end of the exposure, and between them the samples of the log, where the turn rate may
       change discontinuously.  A segment is divided at a rate discontinuity, or evenly if it contains none.
@@ -165,7 +165,8 @@ class _SegmentEvaluator:
     def _elapsed(self, begins: Float, ends: Float) -> Float:
         """Return the elapsed fractions of segments at which they are evaluated, (times, segments).
 
-        They are even, but for the second and the last but one: the first and the last node, if it is nearer to an end.
+        The fractions are even, but for the second and the last but one: the first and the last node, if it is nearer to
+        an end.
         """
         first, last = self._nodes_s.searchsorted(begins, "right"), self._nodes_s.searchsorted(ends) - 1
         samples, within = REFINEMENT.min_samples, int((last - first).max()) + 2

@@ -37,7 +37,7 @@ def node_corrections(basis: Float, segment: NDArray[np.intp], turn: Float, weigh
     - `weight` (n,): weights of the samples.
 
     A sample depends on the three nodes of its segment.  The middle one has no other samples, and is eliminated first;
-    the equations of the ends have three diagonals.  They are solved in a time proportional to the number of nodes, on
+    the equations of the ends have three diagonals.  Solving takes a time proportional to the number of nodes, on
     one thread: NumPy's dense solver would keep all threads of OpenBLAS busy, and round differently with another number
     of them.  SciPy's banded solver would take a worker longer to load than ten images to draw.
     """
@@ -363,7 +363,7 @@ class SegmentFit:
     def excess(
         self, camera: Camera, sigma_px: float, tolerance_px: float, position_px: float, strictness: Float
     ) -> tuple[Float, Float]:
-        """Return the errors of each segment divided by what is tolerated, (m,) each; NaN if unknown.
+        """Return the errors of each segment divided by the tolerated error, (m,) each; NaN if unknown.
 
         `sigma_px`: standard deviation of a star as the pixels record it, px; `tolerance_px`: largest distance from the
         true position at the same time, px; `position_px`: largest distance between fitted and drawn positions at the

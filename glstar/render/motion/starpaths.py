@@ -332,9 +332,10 @@ def end_weights(starts: Float, ends: Float) -> Float:
 def parameter_at(elapsed: Float, weight: Float) -> Float:
     """Return the parameters of the quadratics through weighted ends at elapsed fractions of rotations, all (n,).
 
-    They are (1 + tan(x A) / tan(A)) / 2, 0 to 1, with x = 2 elapsed - 1 and A the angle whose squared tangent is weight
-    - 1 (`end_weights`).  The angle of a uniform rotation is proportional to time, and the quadratic's parameter to the
-    tangent of half of it: with the one for the other, a path of 16 degrees is up to 0.09 px off at f = 968 px.
+    A parameter is (1 + tan(x A) / tan(A)) / 2, 0 to 1, with x = 2 elapsed - 1 and A the angle whose squared tangent is
+    weight - 1 (`end_weights`).  The angle of a uniform rotation is proportional to time, and the quadratic's parameter
+    to the tangent of half the angle.  If time took the parameter's place, a path of 16 degrees would be up to 0.09 px
+    off at f = 968 px.
     """
     tangent = np.sqrt(np.maximum(weight - 1, 1e-12))
     return np.asarray(0.5 + 0.5 * np.tan((2 * elapsed - 1) * np.arctan(tangent)) / tangent)

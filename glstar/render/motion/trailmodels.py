@@ -75,7 +75,7 @@ class SubExposures:
     def for_sigma(self, camera: Camera, sigma_px: float) -> "SubExposures":
         """Return fewer sub-exposures, spaced by at most 1.5 sigma, that suffice for a wide point spread function.
 
-        They are the middles of groups of equal number; `sigma_px`: standard deviation of a star in the image, px.
+        Times are the middles of groups of equal number; `sigma_px`: standard deviation of a star in the image, px.
         """
         path_px = np.concatenate([[0.0], np.cumsum(self.pointing.rotation_rad)]) * camera.max_px_per_rad
         limit_px = SAMPLE_SPACING_SIGMA * sigma_px

@@ -198,7 +198,7 @@ def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int
 class FrameReadback:
     """A frame whose pixels are copied from the GPU while further scenes are drawn.
 
-    They are a view of `padded`, whose content is in `buffer`; without these, `frame` is complete.
+    The pixels are a view of `padded`, whose content is in `buffer`; without these, `frame` is complete.
     """
 
     def __init__(
@@ -302,7 +302,7 @@ def wait_until_drawn(context: moderngl.Context) -> None:
 
 
 def start_drawing() -> None:
-    """Let the driver start what was drawn on the current context, without waiting; a GPU would start by itself."""
+    """Let the driver start the queued drawing of the current context, without waiting; a GPU starts by itself."""
     library = _library()
     if library is not None:
         library.glFlush()

@@ -105,12 +105,12 @@ class Attenuation:
 
     @property
     def steady(self) -> tuple[Attenuator, ...]:
-        """Those that are not random, without the ridge."""
+        """Attenuators that are not random, without the ridge."""
         return tuple(part for part in (self.sunlight, self.cloud) if part is not None)
 
     @property
     def gradual(self) -> tuple[Attenuator, ...]:
-        """Those that change within a trail without an edge: all but the ridge."""
+        """Attenuators that change within a trail without an edge: all but the ridge."""
         return self.steady if self.scintillation is None else (*self.steady, self.scintillation)
 
     @property

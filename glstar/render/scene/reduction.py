@@ -1,8 +1,8 @@
 """Faint long trails at half and at a quarter of the image's resolution.
 
-A trail takes time with its length and not with its brightness.  Where it is faint everywhere, it is drawn on pixels two
-or four times as wide and interpolated linearly between them: its light stays, and its profile changes by a part of its
-peak that is as small as what is cut off around a star.
+A trail takes time with its length and not with its brightness.  A trail that is faint everywhere is drawn on pixels two
+or four times as wide, and interpolated linearly between wide pixels.  Its light stays, and its profile changes by as
+small a part of its peak as the cut around a star.
 """
 
 from collections.abc import Iterable, Sequence

@@ -76,7 +76,7 @@ class LineChain:
     def near(self, point_px: Float, reach_px: Float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return which lines are nearer to a point of their star, (m, 2) px, than a distance, (m,) px.
 
-        They are numbers of a table of lines and stars, and the numbers of their stars: most lines are too far to
+        Lines are numbers of a table of lines and stars, and the numbers of their stars: most lines are too far to
         matter.
         """
         reach = self.length_px / 2

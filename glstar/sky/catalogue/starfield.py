@@ -19,7 +19,7 @@ _SLACK_RAD = 1e-6
 class StarField:
     """Apparent directions of stars at one epoch.
 
-    They are uploaded to the GPU once and used for hours: apparent places change by 0.03" in the first hour.
+    Directions are uploaded to the GPU once and used for hours: apparent places change by 0.03" in the first hour.
     """
 
     catalogue: str  # The catalogue that numbers the stars, as in `glstar.sky.catalogue.reading.StarCatalogue`

@@ -2,8 +2,8 @@
 
 glstar counts time in `utc_s`: seconds of UTC since 1970-01-01, with 86400 s per day (a leap second has the same number
 as the second after it).  Julian dates have two parts whose sum is the date, because the resolution of a single float64
-at 2 400 000 days is only 40 microseconds.  UT1 - UTC and polar motion are those of the IERS table in the optional
-package astropy-iers-data, whose last values continue after its end; without it, or before its first day, UT1 = UTC and
+at 2 400 000 days is only 40 microseconds.  UT1 - UTC and polar motion come from the IERS table in the optional package
+astropy-iers-data, whose last values continue after its end.  Without the table, or before its first day, UT1 = UTC and
 a fixed pole are assumed (errors of up to 13" and 0.5").
 """
 

@@ -17,15 +17,15 @@ sensor_msgs/CameraInfo                      header.stamp                        
 sensor_msgs/TimeReference                   header.stamp, time_ref                       UTC
 ==========================================  ===========================================  ==============================
 
-Orientations turn the body (forward, left, up) into the world (east, north, up), as REP 103 and REP 145 say, unless the
-options of the bag, a word in the frame of a pose ("map_ned") or the accelerometers of an Imu say otherwise: the
+Orientations turn the body (forward, left, up) into the world (east, north, up), as REP 103 and REP 145 say.  The
+options of the bag, a word in the frame of a pose ("map_ned") and the accelerometers of an Imu may say otherwise: the
 frame_id of an Imu is the sensor's.  The clock is that of the header stamps.  A time that is ahead of the recorder's
 clock by the leap seconds of GPS time or TAI counts that scale, and is converted.
 
 Topics of setpoints, of estimates that are sent to the autopilot and of gimbals, and an Imu that does not estimate its
-orientation are used only if the user names them.  The first part of a topic is a vehicle where that of another topic
-is its like (``/uav1``, ``/uav2``); a flight has topics of one vehicle.  Attitudes that do not turn alike are not of one
-body: the autopilot's or an Imu's is used beside poses, and otherwise the user must name one.
+orientation are used only if the user names them.  The first part of a topic is a vehicle where another topic's first
+part is like it (``/uav1``, ``/uav2``); a flight has topics of one vehicle.  Attitudes that do not turn alike are not of
+one body: the autopilot's or an Imu's is used beside poses, and otherwise the user must name one.
 """
 
 import os

@@ -430,7 +430,7 @@ def purpose_of(name: str) -> str:
 
 
 def are_of_two_bodies(first: str, second: str) -> bool:
-    """Return whether two topics are below different names, neither of which is that of a part of a vehicle."""
+    """Return whether two topics are below different names, and neither name is that of a part of a vehicle."""
     above = [
         [part for part in name.strip("/").split("/")[:-1] if not has_word(PART, part) and not INTERFACE.fullmatch(part)]
         for name in (first, second)
@@ -442,8 +442,8 @@ def vehicles_of(kinds: Mapping[str, str]) -> dict[str, str]:
     """Return the vehicle of each topic, empty if it belongs to none, by the kinds of topics with these names.
 
     A part of a topic is a vehicle if it is called so (``drone_1``), if it is above the interface of an autopilot
-    (``/alpha/mavros``), if it is numbered (``/r1``, ``/r2``), or if another part has two equal topics below
-    (``/red/odom`` and ``/red/fix``, as ``/blue`` has).  With a single vehicle, all topics are its own.
+    (``/alpha/mavros``), or if it is numbered (``/r1``, ``/r2``).  It is one too if another part has two equal topics
+    below (``/red/odom`` and ``/red/fix``, as ``/blue`` has).  With a single vehicle, all topics are its own.
     """
     parts = {name: name.strip("/").split("/") for name in kinds}
     numbered: defaultdict[tuple[str, ...], set[str]] = defaultdict(set)

@@ -207,7 +207,9 @@ class BinaryRecords(PartedRecords):
         self.unread_bytes = self._file_bytes - record_bytes
         if not any(part.found for part in self._parts):
             raise LogFormatError(
-                path, f"no whole record in {self._file_bytes} bytes: the log is cut off or damaged", offset=0
+                path,
+                f"no whole record in {self._file_bytes} bytes: the log is cut off or damaged; copy it again",
+                offset=0,
             )
 
     def count(self, name: str) -> int:

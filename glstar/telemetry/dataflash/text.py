@@ -90,7 +90,7 @@ class TextRecords(PartedRecords):
         self.unread_bytes = len(self._text) - sum(part.line_bytes for part in self._parts)
         if not self._parts:
             self.close()
-            message = f"no whole record in {self._line_count} lines: the log is cut off or damaged"
+            message = f"no whole record in {self._line_count} lines: the log is cut off or damaged; copy it again"
             raise LogFormatError(path, message, offset=0)
 
     def count(self, name: str) -> int:

@@ -26,9 +26,9 @@ STATUSTEXT            text                                          the firmware
 ====================  ============================================  ================================================
 
 The clock is the autopilot's time since boot.  The arrival times of packets are those of the ground station, whose clock
-may be wrong by seconds or years.  They relate packets without a common time since boot: those of an autopilot without
-UTC and of a ground station with UTC, or those of two boots of one autopilot.  A stream, such as Mission Planner's
-``.rlog`` or what a serial port received, is given arrival times by the autopilot's time since boot.
+may be wrong by seconds or years.  Arrivals relate packets without a common time since boot: those of an autopilot
+without UTC and of a ground station with UTC, or those of two boots of one autopilot.  A stream, such as Mission
+Planner's ``.rlog`` or what a serial port received, is given arrival times by the autopilot's time since boot.
 """
 
 import os

@@ -404,9 +404,9 @@ class Dump:
     text, without quotes: the last column may contain separators.  Rows with another number of cells than the header are
     dropped.
 
-    Attributes: `header`; `line`, (n,) line numbers; `columns`, (n,) by name, NaN where a cell is empty or no finite
-    number; `texts`, cells of the text column that are not empty; `heads`, lines at which the header is repeated, where
-    another table was appended.
+    Attributes are `header`, and `line`, (n,) line numbers.  `columns` are (n,) by name, NaN where a cell is empty or no
+    finite number; `texts` are cells of the text column that are not empty.  `heads` are lines at which the header is
+    repeated, where another table was appended.
     """
 
     def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:

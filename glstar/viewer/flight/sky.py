@@ -139,7 +139,7 @@ _MOST_TIMES = 300
 def light_intervals(position: PositionTrack, first_s: float, last_s: float) -> dict[str, Float]:
     """Return when it is day and when twilight: (n, 2) start and end of each interval, UTC seconds since 1970.
 
-    They are listed by the names of `LIGHT_LEVELS` without night, if they occur.  `position`: of the aircraft;
+    Intervals are listed by the names of `LIGHT_LEVELS` without night, if they occur.  `position`: of the aircraft;
     `first_s`, `last_s`: UTC seconds since 1970.
     """
     count = min(max(ceil((last_s - first_s) / _STEP_S), 1), _MOST_TIMES) + 1

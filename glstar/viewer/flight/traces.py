@@ -42,8 +42,8 @@ class Trace:
         distance of the line from a point that is left out, in the units of y.  Points are left out of a part that stays
         the same for two calls: while it moves, finding them would take longer than drawing them.  Returns x and y,
         (m,): the samples themselves if there are few; otherwise the minimum and the maximum of each group of samples,
-        about one group for each column.  y is NaN at breaks; the next points outside the part are included, so that the
-        line continues to the edges.
+        about one group for each column.  At breaks, y is NaN; the next points outside the part are included, so that
+        the line continues to the edges.
         """
         first, last = self._x.searchsorted((start, stop)).tolist()
         in_a_column = (last - first) / max(columns, 1)

@@ -82,7 +82,7 @@ class PanelContent:
 
     @property
     def picture(self) -> Texture | NDArray[np.uint8]:
-        """What is drawn: the processed image, red, green and blue, or the developed one."""
+        """The drawn image: the processed one, red, green and blue, or the developed one."""
         processed = self.image.processed if self.is_processed and isinstance(self.image, SimulatedImage) else None
         return self.texture if processed is None else processed
 

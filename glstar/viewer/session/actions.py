@@ -66,7 +66,7 @@ def listen_to(session: Session, sysid: int) -> None:
 
 
 def disconnect(session: Session) -> None:
-    """Close the link; what was received of its flight stays, and can be replayed."""
+    """Close the link; the received part of its flight stays, and can be replayed."""
     if (live := _live(session)) is None:
         return
     _end_export(session)

@@ -161,7 +161,7 @@ def save_comparison(session: Session) -> None:
 
 
 def record_video(session: Session) -> None:
-    """Begin to record what is shown as a video, or end the video that is being recorded."""
+    """Begin to record the window's picture as a video, or end the video that is being recorded."""
     if session.video is not None:
         session.video.stop()
     elif session.loaded is None:

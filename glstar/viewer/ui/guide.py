@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from imgui_bundle import ImVec2, imgui
 
-from glstar.system.resources import bundled_flight, manual_pages
+from glstar.system.resources import MANUAL_KINDS, bundled_flight, manual_pages
 from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui import theme
@@ -240,9 +240,11 @@ class ManualWindow:
         expanded, stays = imgui.begin("Manual", True, theme.DIALOG)
         if expanded:
             imgui.begin_child("##pages", ImVec2(theme.scaled(_LIST_WIDTH), 0))
-            for topic in pages:
-                if imgui.selectable(topic, topic == self._topic)[0]:
-                    self._topic = topic
+            for kind, topics in MANUAL_KINDS.items():
+                imgui.separator_text(kind.partition(":")[0])
+                for topic in topics:
+                    if imgui.selectable(topic, topic == self._topic)[0]:
+                        self._topic = topic
             imgui.end_child()
             imgui.same_line()
             imgui.begin_child(f"##text {self._topic}")

@@ -91,7 +91,7 @@ def _draw_actions(session: Session) -> None:
             "Stop export" if exports else "Export frames",
             "Writes each exposure of the camera with its truth as it is exposed (--export)",
         ),
-        (Action.DISCONNECT, "Disconnect", "Closes the link; what was received of the flight can be replayed"),
+        (Action.DISCONNECT, "Disconnect", "Closes the link; the received part of the flight can be replayed"),
     )
     for action, label, tooltip in buttons:
         if draw_button(f"{label}###{action}", tooltip):

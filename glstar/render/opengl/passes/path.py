@@ -79,7 +79,7 @@ _NARROW_VARIANCE_PX2 = 0.00705189
 
 
 class SegmentKinds(NamedTuple):
-    """What is known of all segments of a scene: ALL_SHORT, COMPONENTS and SINGLE of star_path.frag."""
+    """Properties that all segments of a scene share: ALL_SHORT, COMPONENTS and SINGLE of star_path.frag."""
 
     are_short: bool  # Whether they are SHORT
     have_components: bool = False  # Whether each star of the draw list has a Gaussian of its own width
@@ -163,7 +163,7 @@ class PathPass:
     def set_times(self, texels: Float32) -> None:
         """Set the orientations at the ends and the middles of m segments, (2 m + 1, 5, 4) float32.
 
-        They include durations, weights and starts of segments: the uniform ``pointing`` of star_path.frag.
+        Texels include durations, weights and starts of segments: the uniform ``pointing`` of star_path.frag.
         """
         self._pointing.write(texels, viewport=(0, 0, textures.TEXELS_PER_TIME, len(texels)))
 
@@ -172,7 +172,7 @@ class PathPass:
     ) -> list[moderngl.Texture]:
         """Return the outputs of star_path.frag: textures of the paths of some stars.
 
-        They are valid until the next call with the same `number` and kinds of segments.  `field` has all stars;
+        Textures are valid until the next call with the same `number` and kinds of segments.  `field` has all stars;
         `chosen` (2 or 4, c, 3) float32 is the uniform ``chosen`` of project_stars.frag and star_path.frag; `passage`
         (m, c) float32 is the transmission of cloud, None without cloud; `segments` is m.
         """

@@ -1,4 +1,4 @@
-"""What is drawn over the image with imgui, in the colours of the table of overlays or in red by night.
+"""Drawings over the image with imgui, in the colours of the table of overlays or in red by night.
 
 The shapes of the overlays; labels of the two sides of a comparison, with the handle of the line between them; and the
 borders and digital numbers of magnified pixels.

@@ -59,7 +59,7 @@ class PlaybackControls:
 
     def _draw_time(self, head: PlayHead) -> None:
         imgui.set_next_item_width(scaled(110))
-        # Nobody reads digits that change in every frame, and then the panel would have to be painted in every frame.
+        # Digits that change in every frame cannot be read, and would have the panel painted in every frame.
         digits = 1 if head.playing else 3
         entered, text = imgui.input_text("s", f"{head.second:.{digits}f}", _ENTER)
         imgui.set_item_tooltip("type 12.5, 1:02.5, +5, -0.1, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
