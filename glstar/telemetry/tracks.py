@@ -455,7 +455,7 @@ def _nmea_sentences(line: str) -> Iterator[tuple[list[str], bool, bool]]:
 
 def _nmea_angle(text: str, side: str) -> float:
     """Return degrees of ddmm.mmmm or dddmm.mmmm."""
-    whole = text.partition(".")[0]
-    if len(whole) < 3 or side not in set("NESW"):
-        raise ValueError(f"{text!r} {side!r} is no angle")
-    return (int(whole[:-2]) + float(text[len(whole) - 2 :]) / 60) * (1 if side in "NE" else -1)
+    parts = re.fullmatch(r"(\d{1,3})(\d\d(?:\.\d*)?)", text)
+    if parts is None or side not in set("NESW"):
+        raise ValueError(f"{text!r:.40} {side!r:.40} is no angle")
+    return (int(parts[1]) + float(parts[2]) / 60) * (1 if side in "NE" else -1)

@@ -294,6 +294,8 @@ def test_sentences_of_nmea_have_many_forms(
         rmc("110007.00", place="4800.0000,N,01136.0000,E"),
         rmc("110007.00", place="3455.8000,S,13836.0000,E", date=""),
         rmc("1100", place="4800.0000,N,01136.0000,E"),
+        rmc("110007.00", place=f"{'9' * 400}.0,S,13836.0000,E"),
+        rmc("110007.00", place=f"3455.8000,S,{'0' * 5000},E"),
     ],
 )
 def test_a_wrong_sentence_is_skipped(tmp_path: Path, wrong: str) -> None:
