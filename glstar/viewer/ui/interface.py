@@ -302,8 +302,6 @@ class Interface:
                 files.ask("open", "Open a flight log", session.loader.last_opened or Path.cwd(), session.open)
             case Action.OPEN_BESIDE if session.loaded is None or session.loaded.is_live:
                 session.notify("open a log first (Ctrl+O): another one of the same flight is shown beside it")
-            case Action.OPEN_BESIDE if session.navigator.others:
-                session.navigator.others = ()
             case Action.OPEN_BESIDE:
                 files.ask(
                     "open",
