@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from glstar.cli.commands import COMMANDS, OLD_COMMANDS
-from glstar.cli.concepts import BY_FLAG, PANELS, REPORT, Concept, old_flags
+from glstar.cli.concepts import BY_FLAG, CONCEPTS, PANELS, REPORT, Concept, old_flags
 from glstar.errors import GlstarError
 from glstar.system.process import exit_status
 from glstar.system.userinput import did_you_mean, nearest_word
@@ -129,7 +129,9 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, with flags under their present names."""
         try:
-            remaining: list[str] = super().parse_args(ctx, _renamed(args, self._name_of(ctx), ctx))
+            words = _renamed(args, self._name_of(ctx), ctx)
+            _refuse_keys(words, {flag for each in self.params for flag in each.opts}, ctx)
+            remaining: list[str] = super().parse_args(ctx, words)
         except typer.BadParameter as error:
             error.message += _suggestion(error.message)
             raise
@@ -197,6 +199,18 @@ def _renamed(args: list[str], command: str, ctx: Any) -> list[str]:
         else:
             words.append(word)
     return words
+
+
+def _refuse_keys(words: list[str], own: set[str], ctx: Any) -> None:
+    """Name the flag if a word is the key of a config, such as ``--latitude-deg``; `own`: the flags of the command."""
+    for word in words:
+        flag = word.partition("=")[0]
+        if word == "--" or flag in own or not flag.startswith("--"):
+            continue
+        key = flag.removeprefix("--").replace("-", "_")
+        present = [f"--{each.flag}" for each in CONCEPTS if each.key.rpartition(".")[2] == key]
+        if near := [each for each in present if each in own]:
+            ctx.fail(f"No such option: {flag}. Did you mean {near[0]}?")
 
 
 def _suggestion(message: str) -> str:
