@@ -16,17 +16,21 @@ from rich.markup import escape
 from glstar import __version__
 from glstar.cli.commands import COMMANDS
 from glstar.cli.dispatch import WORDS, Command, Program, chosen, epilog_of, inner_commands, normalised
-from glstar.cli.reporting import Quiet, Verbose, reporting
+from glstar.cli.reporting import Quiet, Verbose, reporting, with_verbosity
 from glstar.system.process import exit_on_interrupt
 
 __all__ = ["COMMANDS", "main"]
 
 
-def _keep_brackets(commands: typer.Typer) -> None:
-    """Escape words in brackets in the help texts, such as [sweep], because rich would take them for markup."""
+def _complete(commands: typer.Typer) -> None:
+    """Give every command the flags of its reports, and words in brackets in its help, such as [sweep].
+
+    Brackets are escaped, because rich would take them for markup.
+    """
     for command in commands.registered_commands:
         if command.callback is None:
             continue
+        command.callback = with_verbosity(command.callback)
         command.help = escape(cleandoc(command.callback.__doc__ or ""))
         command.cls = Command
         for parameter in signature(command.callback).parameters.values():
@@ -37,7 +41,7 @@ def _keep_brackets(commands: typer.Typer) -> None:
                     option.help = escape(text)
     for group in commands.registered_groups:
         if group.typer_instance is not None:
-            _keep_brackets(group.typer_instance)
+            _complete(group.typer_instance)
 
 
 def _version(ctx: typer.Context, wanted: bool) -> None:
@@ -95,7 +99,7 @@ def _build(names: Iterable[str], *, summaries: bool = False) -> typer.Typer:
         else:
             program.command(name, epilog=epilog_of(name), **listed)(command)
     if not summaries:
-        _keep_brackets(program)
+        _complete(program)
     return program
 
 

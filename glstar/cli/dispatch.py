@@ -141,6 +141,7 @@ class Command(TyperCommand):
         """Parse the arguments, with flags under their present names."""
         try:
             words = _completed(_renamed(args, self._name_of(ctx), ctx))
+            _refuse_keys(words, {flag for each in self.params for flag in each.opts}, ctx)
             remaining: list[str] = super().parse_args(ctx, words)
         except typer.BadParameter as error:
             error.message = _plain(error)
@@ -245,6 +246,18 @@ def _plain(error: typer.BadParameter) -> str:
     if must is None:
         return str(fault["msg"].removeprefix("Value error, "))
     return f"must be {must.format(**fault.get('ctx', {}))}, not {fault['input']}"
+
+
+def _refuse_keys(words: list[str], own: set[str], ctx: Any) -> None:
+    """Name the flag if a word is the key of a config, such as ``--latitude-deg``; `own`: the flags of the command."""
+    for word in words:
+        flag = word.partition("=")[0]
+        if word == "--" or flag in own or not flag.startswith("--"):
+            continue
+        key = flag.removeprefix("--").replace("-", "_")
+        present = [f"--{each.flag}" for each in CONCEPTS if each.key.rpartition(".")[2] == key]
+        if near := [each for each in present if each in own]:
+            ctx.fail(f"No such option: {flag}. Did you mean {near[0]}?")
 
 
 def _suggestion(message: str) -> str:

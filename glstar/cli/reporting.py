@@ -104,14 +104,16 @@ def _warnings_as_lines() -> Iterator[None]:
 
 
 def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the flags ``--quiet`` and ``--verbose`` added."""
+    """Return a command with the flags ``--quiet`` and ``--verbose`` added; one that has them stays as it is."""
+    own = signature(command)
+    if "quiet" in own.parameters:
+        return command
 
     @wraps(command)
     def reported(*, quiet: bool = False, verbose: bool = False, **values: Any) -> None:
         with reporting(quiet=quiet, verbose=verbose):
             command(**values)
 
-    own = signature(command)
     flags = [
         Parameter("quiet", Parameter.KEYWORD_ONLY, default=False, annotation=Quiet),
         Parameter("verbose", Parameter.KEYWORD_ONLY, default=False, annotation=Verbose),

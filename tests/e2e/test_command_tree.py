@@ -298,3 +298,9 @@ def test_the_table_of_a_flight_is_replaced_on_request_but_never_the_flight_itsel
     )
     of_a_set = invoke("convert", tmp_path, "-o", tmp_path / "set.csv", "--force")
     assert (of_a_set.rc, "replaces the table of a flight only" in " ".join(of_a_set.err.split())) == (2, True)
+
+
+def test_the_key_of_a_flag_is_no_flag_but_names_it() -> None:
+    result = invoke("sky", "--latitude-deg", "-35", "--lon", "138")
+    assert result.rc == 2
+    assert "No such option: --latitude-deg. Did you mean --lat?" in result.err

@@ -107,15 +107,18 @@ def test_every_command_that_reports_has_json() -> None:
     assert sorted(without("", typer.main.get_command(app))) == ["manual", "view"]
 
 
-def test_quiet_and_verbose_go_together() -> None:
+def test_every_command_takes_quiet_and_verbose_after_its_name() -> None:
     def flags(name: str, command: Any) -> dict[str, set[str]]:
         if hasattr(command, "commands"):
             return {k: v for own, inner in command.commands.items() for k, v in flags(f"{name} {own}", inner).items()}
-        return {name: {"--quiet", "--verbose"} & {word for parameter in command.params for word in parameter.opts}}
+        return {name: {"-q", "--quiet", "-v", "--verbose"} & {word for each in command.params for word in each.opts}}
 
     found = flags("", typer.main.get_command(app))
-    assert {len(names) for names in found.values()} == {0, 2}
-    assert found[" export"]
+    assert {name for name, words in found.items() if len(words) < 4} == set()
+    assert len(found) > 25
+    stars = invoke("sky", "--vmag", 1, "--utc", "2024-03-10T11:00:00Z", "--lat", -35, "--lon", 138.6, "-q")
+    assert (stars.rc, stars.err) == (0, "")
+    assert "Canopus" in stars.out
 
 
 def test_fly_reports_the_flight_that_it_wrote(tmp_path: Path) -> None:

@@ -104,9 +104,11 @@ def change_window(work: Work) -> None:
         window.drag((944, 300), (800, 300))
         window.away()
 
-    window.until(lambda screen: changed(screen[RIGHT], before[RIGHT]) > 2000, "a wider panel", again=move)
+    # Above the notices of what was saved, which end meanwhile.
+    panel = np.s_[60:560, 960:1270]
+    window.until(lambda screen: changed(screen[panel], before[panel]) > 2000, "a wider panel", again=move)
     work.command("panels as")
-    window.until(lambda screen: changed(screen[RIGHT], before[RIGHT]) < 200, "the first layout")
+    window.until(lambda screen: changed(screen[panel], before[panel]) < 200, "the first layout")
 
 
 def change_setting(work: Work) -> None:

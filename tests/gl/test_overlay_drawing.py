@@ -153,6 +153,8 @@ def test_at_night_all_overlays_are_red(paint, overlay):
     picture = paint(Shapes((two_lines(overlay),), (labels,), marks), night=True)
     assert picture[..., 0].max() > 20
     assert picture[..., 1:].max() == 0
+    label = paint(Shapes(labels=(labels,)), night=True)
+    assert label[..., 0].max() > 170  # it can be read
 
 
 def test_the_overlays_differ_in_colour():

@@ -36,9 +36,12 @@ class RealWindow:
     display : str
     folder : Path
         In which the display's server stores its screen (``Xvfb -fbdir``).
+    size : (int, int), optional
+        Of the window, px, if it does not fill the display.
     """
 
-    def __init__(self, display: str, folder: Path) -> None:
+    def __init__(self, display: str, folder: Path, *, size: tuple[int, int] | None = None) -> None:
+        self._size = size
         self._variables = {**os.environ, "DISPLAY": display}
         self._dump = folder / "Xvfb_screen0"
 
@@ -68,6 +71,16 @@ class RealWindow:
     def click(self, x: int, y: int) -> None:
         """Click with the left button, px of the screen; the button is down for some frames."""
         self._do("mousemove", str(x), str(y), "sleep", "0.05", "mousedown", "1", "sleep", "0.05", "mouseup", "1")
+
+    def double_click(self, x: int, y: int) -> None:
+        """Click twice with the left button; the button is down for some frames."""
+        click = ["mousedown", "1", "sleep", "0.05", "mouseup", "1", "sleep", "0.05"]
+        self._do("mousemove", str(x), str(y), "sleep", "0.05", *click, *click)
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the window another size, px."""
+        self._do("search", "--onlyvisible", "--name", "glstar", "windowsize", str(width), str(height))
+        self._size = width, height
 
     def hover(self, x: int, y: int) -> None:
         """Move the mouse to a position."""
@@ -104,7 +117,8 @@ class RealWindow:
         header = np.frombuffer(content, ">u4", _HEADER_WORDS)
         width, height, stride, colours = (int(header[i]) for i in (4, 5, 12, 19))
         pixels = np.frombuffer(content, np.uint8, stride * height, int(header[0]) + 12 * colours)
-        return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
+        width, height_shown = self._size or (width, height)
+        return pixels.reshape(height, stride // 4, 4)[:height_shown, :width, :3].copy()
 
     def still(self) -> np.ndarray:
         """Return the screen when it no longer changes; on a busy machine it may change later."""
@@ -116,6 +130,14 @@ class RealWindow:
             if not np.array_equal(now, before):
                 before, since_s = now, time.monotonic()
         return before
+
+    def at_rest(self) -> np.ndarray:
+        """Return the screen when it has been the same for a second: notices have gone or are there to stay."""
+        while True:
+            before = self.still()
+            time.sleep(1.0)
+            if np.array_equal(self.screen(), before):
+                return before
 
     def until(
         self, holds: Callable[[np.ndarray], bool], what: str, *, again: Callable[[], object] | None = None
@@ -221,6 +243,11 @@ def changed(first: np.ndarray, second: np.ndarray) -> int:
     return int((first != second).any(axis=2).sum())
 
 
+def count(part: np.ndarray, colour: tuple[int, int, int]) -> int:
+    """Return how many pixels have about this colour: blue, green, red."""
+    return int((np.abs(part.astype(int) - colour).max(axis=2) <= 13).sum())
+
+
 class Work:
     """A window, and what is saved from it.
 
@@ -244,7 +271,18 @@ class Work:
     def command(self, name: str) -> None:
         """Perform a command by its name in the palette."""
         self.until_changed(np.s_[60:200, 300:700], "ctrl+p", "the list of commands", 1000)
+        self.window.still()
         self.window.write(name)
+        self.window.still()
+        self.window.press("Return")
+
+    def type_path(self, press: str, path: Path) -> None:
+        """Open the dialog of a path by its keys, and type one."""
+        self.until_changed(np.s_[350:450, 400:880], press, "the dialog", 1000)
+        self.window.still()
+        self.window.press("ctrl+a")
+        self.window.write(str(path))
+        self.window.still()
         self.window.press("Return")
 
     def until_saved(self, pattern: str, act: Callable[[], None]) -> Path:

@@ -374,7 +374,7 @@ def test_escape_closes_a_menu(viewer):
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.5, 2.0])
-def test_the_list_of_keys_grows_with_the_text(small, tmp_path, scale):
+def test_the_list_of_keys_grows_with_the_text_and_cuts_none(small, tmp_path, scale):
     class Scaled(HeadlessSurface):
         pass
 
@@ -386,7 +386,12 @@ def test_the_list_of_keys_grows_with_the_text(small, tmp_path, scale):
         viewer.frame(0.0)
         viewer.frame(0.0)
         size = imgui.internal.find_window_by_name("Keys").size
-        assert (size.x, size.y) == pytest.approx((880.0 * scale, 730.0 * scale))
+        labels_px, chords_px = (
+            max(imgui.calc_text_size(text).x for text in texts)
+            for texts in zip(*((key.label, ", ".join(key.chords)) for key in KEYS if key.chords), strict=True)
+        )
+        assert size.x > 2 * scale * (labels_px + chords_px) > 800 * scale  # outside a frame sizes are those of scale 1
+        assert size.y == pytest.approx(730.0 * scale)
     surface.close()
 
 

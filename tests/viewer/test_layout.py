@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from imgui_bundle import imgui
@@ -13,8 +14,14 @@ from glstar.viewer.loop import HeadlessSurface, Viewer
 from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.session.actions import is_possible, select_object
 from glstar.viewer.session.keys import Action
+from tests.support.windowinput import screen
 from tests.support.windowtext import letters, overlaps
 
+GOLDEN = Path(__file__).parents[1] / "golden"
+# Golden pictures are half as large as the window: where texts and controls are, not their single pixels.
+SHRUNK = 2
+# Largest difference of a pixel, and how many may differ by more: less than two letters.
+TOLERANCE, MOST = 24, 12
 PANELS = ("Settings", "View", "Compare", "Object", "Flight")
 # A camera at rest, whose rates are rounding errors.
 AT_REST = Path("fly:still?utc_start=2024-03-25T13:00:00Z&latitude_deg=-34.9&longitude_deg=138.6&pitch_deg=-30")
@@ -81,10 +88,32 @@ def test_with_a_flight_its_entries_of_the_menu_are_not_grey(viewer):
     assert not is_possible(Action.LIVE, viewer.session)
 
 
+def assert_as_inspected(viewer: Viewer, panel: str, folder: Path, *, regenerate: bool) -> None:
+    """Compare a panel, or the window around the image with the settings, with the picture that was inspected."""
+    if "llvmpipe" not in viewer.session.renderer.driver:
+        return  # golden pictures are llvmpipe's
+    shown, width = screen(viewer)[::-1].copy(), viewer._surface.size[0]
+    left, top, image_width, image_height = viewer.interface.visible_px
+    shown[top : top + image_height, left : left + image_width] = 0
+    # Only the right of the window differs between the panels.
+    shown = shown if panel == PANELS[0] else shown[:, round(0.735 * width) // SHRUNK * SHRUNK :]
+    picture = cv2.resize(shown[..., ::-1], None, fx=1 / SHRUNK, fy=1 / SHRUNK, interpolation=cv2.INTER_AREA)
+    golden = GOLDEN / f"window-{width}-{panel.lower()}.png"
+    if regenerate:
+        cv2.imwrite(str(golden), picture)
+    difference = np.abs(picture.astype(int) - cv2.imread(str(golden))).max(axis=2)
+    if (different := int((difference > TOLERANCE).sum())) > MOST:
+        cv2.imwrite(str(folder / golden.name), picture)
+    assert different <= MOST, f"{different} pixels differ from {golden.name}; see {folder}"
+
+
 @pytest.mark.parametrize("panel", PANELS)
-def test_no_text_covers_another_by_day(window, panel):
+def test_no_text_covers_another_by_day(window, panel, request, tmp_path):
     window.session.shown_overlays = {Overlay.STAR_NAMES}
+    for notification in window.session.notifications.current:
+        window.session.notifications.dismiss(notification)
     assert covered(window, panel) == {}
+    assert_as_inspected(window, panel, tmp_path, regenerate=request.config.getoption("--regenerate-golden"))
 
 
 def test_no_text_covers_another_with_all_overlays(window):
@@ -97,8 +126,7 @@ def test_the_window_is_red_alone_by_night(window, panel, tmp_path):
     window.session.night = True
     try:
         assert covered(window, panel) == {}
-        size = window._surface.size
-        pixels = np.frombuffer(window._surface.target.read(components=3), np.uint8).reshape(*size[::-1], 3)
+        pixels = screen(window)
     finally:
         window.session.night = False
         window.frame(0.0)

@@ -5,10 +5,12 @@ from math import degrees, radians
 
 import numpy as np
 import pytest
+from imgui_bundle import imgui
 
 from glstar.render.scene.scene import Frame
 from glstar.render.truth.frame import frame_truth
 from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.session.actions import is_on, perform
 from glstar.viewer.session.keys import Action
 from glstar.viewer.session.memory import Place, WindowMemory
@@ -83,6 +85,32 @@ def test_a_dragged_star_follows_the_mouse(viewer):
     viewer.frame(0.0)
     place = object_place(viewer.session.scene, middle_eq)
     np.testing.assert_allclose([place.x_px - before.x_px, place.y_px - before.y_px], [5.0, -3.0], rtol=0, atol=0.1)
+
+
+def test_a_drag_in_one_slow_frame_turns_the_camera_and_selects_nothing(viewer):
+    """A window of few frames a second sees movement and release together."""
+    look = looking(viewer, azimuth_rad=1.0, altitude_rad=0.3, field_rad=radians(60.0))
+    press(viewer, "H")  # the image fills the window
+    io = imgui.get_io()
+    for event in (
+        lambda: io.add_mouse_pos_event(400.0, 300.0),
+        lambda: io.add_mouse_button_event(0, True),
+        lambda: (io.add_mouse_pos_event(440.0, 300.0), io.add_mouse_button_event(0, False)),
+        lambda: io.add_mouse_pos_event(-1.0, -1.0),
+    ):
+        event()
+        viewer.frame(0.0)
+    rad_per_px = 4 * np.tan(look.field_rad / 4) / look.size_px[0]
+    assert look.azimuth_rad == pytest.approx(1.0 - 40 * rad_per_px / np.cos(0.3), abs=1e-6)
+    assert viewer.interface.selection.selected is None
+
+
+def test_a_double_click_may_take_three_slow_frames(viewer, monkeypatch):
+    viewer.frame(0.0)
+    assert imgui.get_io().mouse_double_click_time >= 0.3
+    monkeypatch.setattr(FrameTimes, "frames_per_s", 2.0)
+    viewer.frame(0.0)
+    assert imgui.get_io().mouse_double_click_time == pytest.approx(1.8)
 
 
 def test_a_double_click_centres_what_is_there(viewer):

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 import typer
 
 from glstar.cli.flightoptions import ConfigFile
-from glstar.cli.reporting import with_verbosity
 from glstar.errors import ConfigError
 
 Images = Annotated[
@@ -113,7 +112,6 @@ CameraOut = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
-@with_verbosity
 def calibrate(
     images: Images = None,
     output: Output = Path("calibration.toml"),

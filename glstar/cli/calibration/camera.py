@@ -17,7 +17,7 @@ from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
 from glstar.cli.calibration.calibrate import calibrate
 from glstar.cli.flightoptions import sensor_names
-from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar
 from glstar.cli.tables import print_table
 from glstar.errors import CalibrationError, reading
 from glstar.system.files import write_atomically
@@ -48,7 +48,6 @@ Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
 @app.command()
-@with_verbosity
 def chessboard(
     images: Images,
     pattern: Annotated[str, typer.Option(help="Inner corners, columns x rows: 9x6.", show_default=False)],
@@ -67,7 +66,6 @@ def chessboard(
 
 
 @app.command()
-@with_verbosity
 def charuco(
     images: Images,
     pattern: Annotated[str, typer.Option(help="Squares, columns x rows: 8x6.", show_default=False)],

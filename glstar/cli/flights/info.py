@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
-from glstar.cli.reporting import PLOT_FORMATS, echo_note, with_verbosity
+from glstar.cli.reporting import PLOT_FORMATS, echo_note
 from glstar.cli.tables import print_table
 from glstar.config import Config
 from glstar.errors import ExportError, LogFormatError
@@ -35,7 +35,6 @@ _PIPE_COLUMNS = 140
 _WRAP_DEG = 180.0
 
 
-@with_verbosity
 @with_flight_flags(but={*CAMERA_FLAGS, "mount"})
 def info(
     flights: Annotated[

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
-from glstar.cli.reporting import echo_note, with_verbosity
+from glstar.cli.reporting import echo_note
 from glstar.errors import AnswersError
 
 # Probability within one standard deviation of each of two components.
@@ -85,7 +85,6 @@ def _line(of: dict[str, object], lat: float, lon: float, sigma_km: float | None,
     return json.dumps(values)
 
 
-@with_verbosity
 @with_flight_flags(but={"time_offset", "mount", *CAMERA_FLAGS})
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],

@@ -18,7 +18,7 @@ from glstar.cli.flights import windowoptions
 from glstar.cli.flights.linkoptions import CameraOptions, Injection, InjectionOptions, with_link_options
 from glstar.cli.flights.liveoutputs import LiveOutputs, with_live_outputs
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
-from glstar.cli.reporting import echo_note, with_verbosity
+from glstar.cli.reporting import echo_note
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.link import Clock, Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
@@ -126,7 +126,6 @@ class _ExportOptions:
 
 
 # These options apply to logs only.
-@with_verbosity
 @with_link_options
 @with_live_outputs
 @with_flight_flags(but={"attitude", "boot", "columns", "position", "vehicle"})

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from glstar.cli.reporting import PLOT_FORMATS, echo_note, progress_bar, resumable, with_verbosity
+from glstar.cli.reporting import PLOT_FORMATS, echo_note, progress_bar, resumable
 from glstar.cli.tables import print_table
 from glstar.system.files import write_atomically
 from glstar.system.process import exit_on_interrupt
@@ -47,7 +47,6 @@ def sets(*, as_json: Json = False) -> None:
 
 
 @app.command()
-@with_verbosity
 def make(
     name: Annotated[str, typer.Argument(metavar="SET", help="Name of the set: glstar bench sets lists them.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The directory of the set.")],
@@ -96,7 +95,6 @@ def _verdict(made: "MadeSet", *, published: bool, difference: str | None) -> str
 
 
 @app.command()
-@with_verbosity
 def run(
     solver: Annotated[
         str,

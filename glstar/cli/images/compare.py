@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
-from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar
 from glstar.errors import ConfigError, ImagesError
 
 if TYPE_CHECKING:
@@ -72,7 +72,6 @@ Seed = Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)]
 AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
-@with_verbosity
 @with_flight_flags(but=CAMERA_FLAGS)
 def compare(
     paths: Paths,

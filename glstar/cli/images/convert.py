@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar
 from glstar.config import Config
 from glstar.errors import ConfigError, ExportError, reading
 from glstar.export.directory import refuse_links
@@ -20,7 +20,6 @@ _LEAST_SNR = 5.0
 _SHARD_FRAMES = 1000
 
 
-@with_verbosity
 def convert(
     export: Annotated[
         Path,

@@ -10,7 +10,7 @@ import typer
 from numpy.typing import NDArray
 
 from glstar.cli.flightoptions import log_of
-from glstar.cli.reporting import progress_bar, with_verbosity
+from glstar.cli.reporting import progress_bar
 from glstar.config import Config
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.system.imagefiles import encode_png
@@ -56,7 +56,6 @@ _FAINTEST_BODY = 3.0
 Grey = NDArray[np.uint8]
 
 
-@with_verbosity
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="The output directory.")] = Path("glstar-demo"),
     force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames in the directory.")] = False,

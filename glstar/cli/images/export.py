@@ -16,7 +16,7 @@ import typer
 from glstar.camera.mounts import mount_label
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, note_swept, with_flight_flags
 from glstar.cli.images import exportoptions as options
-from glstar.cli.reporting import echo_detail, echo_note, progress_bar, resumable, with_verbosity
+from glstar.cli.reporting import echo_detail, echo_note, progress_bar, resumable
 from glstar.flight import DATA_GAP
 from glstar.render.truth.conditions import conditions_report
 from glstar.sky.observed.stars import sun_altitude_rad
@@ -44,7 +44,6 @@ _DAY_DEG = -6.0
 _MAX_BITS = 14
 
 
-@with_verbosity
 @options.with_summary_files
 @with_flight_flags()
 def export(

@@ -20,6 +20,7 @@ from glstar.render.simulator import Simulator
 from glstar.sky.place.timescale import CLOCK_GRAIN_S, parse_known_utc
 from glstar.telemetry import Survey
 from glstar.viewer.flight.live import Buffered
+from glstar.viewer.flight.others import OtherLogs
 from glstar.viewer.flight.playhead import PlayHead
 from glstar.viewer.flight.sky import SkySampler
 from glstar.viewer.flight.traces import FlightLines
@@ -335,6 +336,7 @@ class FlightLoader:
         self._typed_utc: dict[Path, str] = {}
         self.sampler = SkySampler()
         self.finder = AttitudeFinder()
+        self.others = OtherLogs()
 
     @property
     def is_busy(self) -> bool:
@@ -343,8 +345,8 @@ class FlightLoader:
 
     @property
     def works(self) -> bool:
-        """Whether a flight is being loaded, or curves or attitudes of the log are being computed."""
-        return self.is_busy or self.sampler.is_busy or self.finder.is_busy
+        """Whether a log is being read, or curves or attitudes of the one shown are being computed."""
+        return self.is_busy or self.others.reading is not None or self.sampler.is_busy or self.finder.is_busy
 
     @property
     def is_done(self) -> bool:
@@ -427,4 +429,5 @@ class FlightLoader:
         """End the thread."""
         self.sampler.close()
         self.finder.close()
+        self.others.close()
         self._thread.shutdown(wait=True, cancel_futures=True)

@@ -2,8 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,45 +18,23 @@ from glstar.sky.place.site import surface_offset_km
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
 from glstar.viewer.flight.live import LiveFlight
 from glstar.viewer.flight.loaded import BEFORE_EXPOSURE_S, LoadedFlight
+from glstar.viewer.flight.others import OtherLog, OtherLogs
 from glstar.viewer.overlays.belief import Belief, PlacedAnswer
 
 # Answers of a live link that are kept.
 _MOST_ANSWERS = 1000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OtherLog:
-    """Another log of the flight shown, such as that of a simulator, by the same clock: UTC."""
-
-    name: str
-    flight: Flight
-
-    @classmethod
-    def read(cls, path: Path, config: Config) -> "OtherLog":
-        """Read a log with the settings of the one shown, but its own attitude; raises GlstarError."""
-        own = config.override(**{"flight.attitude": "auto"})
-        return cls(path.stem, own.gimbal.carried(own.open_flight(path)))
-
-    def belief(self, C_camera_body: Float, simulator: Simulator, scene: Scene) -> Belief:
-        """Return what it has in the middle of an exposure, as an estimate against the flight shown."""
-        mid_s, attitude = scene.exposure.mid_utc_s, self.flight.attitude
-        if not attitude.first_s <= mid_s <= attitude.last_s or attitude.gap_within(mid_s, mid_s) is not None:
-            return Belief(self.name, lacking="nothing at this time")
-        q_body_ned, at = attitude.at(np.array([mid_s]))[0], self.flight.position.at(mid_s)
-        place_rad = at.latitude_rad, at.longitude_rad
-        return _against_truth(self.name, q_body_ned, q_body_ned, C_camera_body, simulator, mid_s, place_rad)
-
-
 class NavigatorView:
     """Computes what the navigator believes at the image shown.
 
-    `answers`: in the order of their times; `live`: the flight of a link.
+    `answers`: in the order of their times; `live`: the flight of a link; `others`: further logs of the same flight.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, others: OtherLogs | None = None) -> None:
         self.answers: Sequence[PlacedAnswer] = ()
         self.live: LiveFlight | None = None
-        self.others: tuple[OtherLog, ...] = ()  # Further logs of the same flight
+        self.others = OtherLogs() if others is None else others
         self._others_of: tuple[OtherLog, ...] = ()
         self._navigator: tuple[Config, Flight, Navigator | None] | None = None
         self._live_navigator: tuple[Config, LiveNavigator] | None = None
@@ -77,7 +54,7 @@ class NavigatorView:
         if loaded is None or simulator is None or scene is None:
             return ()
         is_same = self._last is not None and self._last[0] is scene and self._last[1] is self.answers
-        if self._last is not None and is_same and self._others_of == self.others:
+        if self._last is not None and is_same and self._others_of == self.others.shown:
             return self._last[2]
         answers, beliefs = self.answers, list[Belief]()
         record = self._live_record(loaded, scene) if loaded.is_live else self._record(loaded, scene)
@@ -91,14 +68,14 @@ class NavigatorView:
                 simulator = simulator.with_flight(loaded.flight)  # the whole buffer of the link
             beliefs.append(_answered(answer, simulator, scene))
         C_camera_body = loaded.config.mount().C_camera_body
-        beliefs += [each.belief(C_camera_body, simulator, scene) for each in self.others]
-        self._others_of = self.others
+        beliefs += [_beside(each, C_camera_body, simulator, scene) for each in self.others.shown]
+        self._others_of = self.others.shown
         self._last = scene, answers, tuple(beliefs)
         return self._last[2]
 
     def lacking(self, loaded: LoadedFlight | None) -> str:
         """Return why there is neither an estimate nor an answer to draw; empty if there is one."""
-        if loaded is None or self.answers or self.others or self._may_differ(loaded):
+        if loaded is None or self.answers or self.others.shown or self._may_differ(loaded):
             return ""
         if loaded.is_live:
             return (
@@ -144,6 +121,17 @@ class NavigatorView:
             self._live_navigator = config, LiveNavigator(config, None)
         shown = config.gimbal.carried(flight)
         return self._live_navigator[1].record(estimate, exposure, number=0, file="", flight=shown)
+
+
+def _beside(log: OtherLog, C_camera_body: Float, simulator: Simulator, scene: Scene) -> Belief:
+    """Return what another log has in the middle of an exposure, as an estimate against the flight shown."""
+    mid_s, attitude = scene.exposure.mid_utc_s, log.flight.attitude
+    if not attitude.first_s <= mid_s <= attitude.last_s or attitude.gap_within(mid_s, mid_s) is not None:
+        return Belief(log.name, lacking="nothing at this time")
+    q_body_ned, at = attitude.at(np.array([mid_s]))[0], log.flight.position.at(mid_s)
+    place_rad = at.latitude_rad, at.longitude_rad
+    belief = _against_truth(log.name, q_body_ned, q_body_ned, C_camera_body, simulator, mid_s, place_rad)
+    return replace(belief, has_ghost=True)
 
 
 def _estimate(

@@ -37,6 +37,7 @@ class Belief:
     # Position minus the true one, north and east, along the surface.
     offset_km: tuple[float, float] | None = None
     ellipse: tuple[float, float, float] | None = None  # See `PlacedAnswer`
+    has_ghost: bool = False  # Whether the stars are ringed where it has them
     lacking: str = ""  # Why there are no errors; empty if there are
 
     @property

@@ -159,6 +159,16 @@ class Canvas:
             self._trail_px = np.hypot(step[..., 0], step[..., 1]).sum(axis=0)
         return self._trail_px
 
+    def ring_stars(self, C_camera_estimated: Float, vmag_limit: float) -> None:
+        """Ring the positions that bright stars have in the middle of the exposure by another attitude.
+
+        `C_camera_estimated` (3, 3): rotation from the camera frame of that attitude to the true one.
+        """
+        scene = self.scene
+        stars = scene.visible[scene.stars.vmag[scene.visible] <= vmag_limit]
+        xy_px = self.camera.project(self.middle.to_camera(scene.stars.direction_eq[stars])[0] @ C_camera_estimated)
+        self.mark(Mark.RING, xy_px[self.region.contains(xy_px)])
+
     def sky_lines(self, among_eq: Mapping[str, Curves], among_ned: Mapping[str, Curves]) -> None:
         """Add the visible parts of curves on the sky, and fill in `crossings`.
 

@@ -324,6 +324,8 @@ def _draw_beliefs(canvas: Canvas, inputs: DrawingInputs) -> None:
             at = centre + sideways / np.linalg.norm(sideways) * min(camera.width_px, camera.height_px) / 4
         if np.linalg.norm(at - centre) > GAP_SCREEN_PX * canvas.screen_px:
             canvas.strokes(arrow_strokes(centre[np.newaxis], at[np.newaxis], 2 * GAP_SCREEN_PX * canvas.screen_px))
+        if belief.has_ghost:
+            canvas.ring_stars(belief.C_camera_estimated, inputs.name_vmag_limit)
         below = 0.0 if axis[1] >= 0 else 1.0
         text = f"{belief.name}: {belief.figures}"
         # Two beliefs at the same place: the second one is written on the other side.

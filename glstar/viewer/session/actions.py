@@ -12,7 +12,6 @@ from threading import Thread
 
 from glstar.export.directory import explain_disk_errors
 from glstar.viewer.flight.live import LiveFlight
-from glstar.viewer.flight.navigator import OtherLog
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import ComparisonMode
@@ -162,12 +161,9 @@ def select_object(session: Session, selection: Selection, target: SkyObject | No
 
 
 def open_beside(session: Session, path: Path) -> None:
-    """Show another log of the flight shown as an estimate: arrow, horizon, figures, and its place on the map."""
-    with session.errors_reported():
-        other = OtherLog.read(path, session.config)
-        session.navigator.others = (*session.navigator.others, other)
-        session.shown_overlays |= {Overlay.NAVIGATOR}
-        session.notify(f"{path.name} beside the flight; its clock must be UTC too")
+    """Begin to read another log of the flight shown: arrow, horizon, rings, figures, curves, its place on the map."""
+    if session.loaded is not None:
+        session.loader.others.open(path, session.config, session.loaded.flight)
 
 
 def open_sky(session: Session, place: Place, utc_s: float) -> None:
@@ -238,6 +234,7 @@ _VIEW: dict[Action, Callable[[Session], None]] = {
     Action.PIXEL_GRID: lambda session: setattr(session.view, "pixel_grid", not session.view.pixel_grid),
     Action.PROCESSED: _show_processed,
     Action.LOOK: _look_around,
+    Action.CLOSE_BESIDE: lambda session: session.loader.others.clear(),
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
     Action.RECORD_LINK: record_link,
@@ -265,6 +262,8 @@ def is_possible(action: AnyAction, session: Session) -> bool:
         return session.comparison.images is not None
     if action is Action.OPEN_BESIDE:
         return session.loaded is not None and not session.loaded.is_live
+    if action is Action.CLOSE_BESIDE:
+        return bool(session.loader.others.shown or session.loader.others.reading)
     if action in _NEEDS_IMAGE:
         return session.scene is not None or session.video is not None
     return session.head is not None or action not in _HEAD
@@ -280,7 +279,6 @@ def is_on(action: AnyAction, session: Session) -> bool:
     return {
         Action.NIGHT: session.night,
         Action.LOOK: session.look.is_on,
-        Action.OPEN_BESIDE: bool(session.navigator.others),
         Action.PROCESSED: session.shows_processed,
         Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,

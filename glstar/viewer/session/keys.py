@@ -31,7 +31,8 @@ class Action(StrEnum):
         return member
 
     OPEN = "open", "File", "Open a flight log", ("Ctrl+O",)
-    OPEN_BESIDE = "open beside", "File", "Open another log of this flight beside it, or close it", ("Ctrl+B",)
+    OPEN_BESIDE = "open beside", "File", "Open another log of this flight beside it", ("Ctrl+B",)
+    CLOSE_BESIDE = "close beside", "File", "Close the other logs of this flight"
     CONNECT = "connect", "File", "Connect to a telemetry link", ("Ctrl+L",)
     RECORD_LINK = "record link", "File", "Record the link to a .tlog, or stop"
     EXPORT_LINK = "export link", "File", "Export the frames of the link as they are exposed, or stop"

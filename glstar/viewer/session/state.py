@@ -73,7 +73,7 @@ class Session:
         self.notifications = Notifications(clock)
         self.notify = self.notifications.add  # Shows a message for some seconds
         self.view = ImageView()
-        self.navigator = NavigatorView()
+        self.navigator = NavigatorView(self.loader.others)
         self.look = LookAround()  # The camera that the user turns, if it is on
         self.stretch = Stretch.for_sensor(config.sensor())
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
@@ -353,6 +353,8 @@ class Session:
         if self.comparison.error:
             self.notify(self.comparison.error, is_error=True)
             self.comparison.error = ""
+        if self.loader.others.poll(self.notify):
+            self.shown_overlays |= {Overlay.NAVIGATOR}
         if self.export is not None and not self.export.running:
             self.notify(self.export.summary, is_error=bool(self.export.error))
             self.export = None
@@ -387,7 +389,7 @@ class Session:
             loaded.continue_from(before)
         self.loaded = loaded
         if before is None or before.path != loaded.path:
-            self.navigator.others = ()
+            self.loader.others.clear()
         if loaded.path is not None and loaded.path == self.plays:
             self.plays = None
             loaded.head.mode, loaded.head.playing = Mode.SLIDING, True

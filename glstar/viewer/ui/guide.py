@@ -333,8 +333,8 @@ def _draw_table(label: str, text: str) -> None:
     imgui.end_table()
 
 
-# Size of the list of keys, px.
-_HELP_PX = (880.0, 730.0)
+# Height of the list of keys, and the gap between its columns, px.
+_HELP_PX, _KEYS_GAP_PX = 730.0, 16.0
 
 
 def draw_help(is_open: bool) -> bool:
@@ -342,11 +342,18 @@ def draw_help(is_open: bool) -> bool:
     if not is_open:
         return False
     theme.centre_next_window()
-    size = theme.dialog_size(*_HELP_PX)
+    gap_px = theme.scaled(_KEYS_GAP_PX)
+    chords = {key: "  " + ", ".join(map(shown_chord, key.chords)) for key in KEYS if key.chords}
+    chord_px = max(imgui.calc_text_size(text).x for text in chords.values()) + gap_px
+    column_px = chord_px + max(imgui.calc_text_size(key.label).x for key in chords) + gap_px
+    size = theme.dialog_size(0.0, _HELP_PX)
+    bar_px = imgui.get_style().scrollbar_size + 2 * imgui.get_style().window_padding.x
+    free_px = imgui.get_main_viewport().size.x - 2 * gap_px - bar_px
+    columns = 2 if 2 * column_px <= free_px else 1  # two in a narrow window would cut off the text
+    size.x = min(columns * column_px, free_px) + bar_px
     imgui.set_next_window_size(size)
     expanded, stays = imgui.begin("Keys", True, theme.DIALOG)
     if expanded:
-        columns = 2 if size.x >= theme.scaled(_HELP_PX[0]) - 1 else 1  # two in a narrow window would cut off the text
         imgui.columns(columns, "##keys", False)
         half = (len(KEYS) + len(MENUS)) // 2
         rows = 0
@@ -355,9 +362,9 @@ def draw_help(is_open: bool) -> bool:
                 imgui.next_column()
             imgui.text_colored(theme.accent(), menu)
             rows += 1
-            for key in (key for key in KEYS if key.menu == menu and key.chords):
-                imgui.text_disabled("  " + ", ".join(map(shown_chord, key.chords)))
-                imgui.same_line(theme.scaled(130.0))
+            for key in (key for key in chords if key.menu == menu):
+                imgui.text_disabled(chords[key])
+                imgui.same_line(chord_px)
                 imgui.text(key.label)
                 rows += 1
         imgui.columns(1)

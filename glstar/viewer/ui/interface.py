@@ -41,9 +41,18 @@ _KEY_NAMES = {
     "Page Down": "page_down",
     **{str(digit): f"_{digit}" for digit in range(10)},
 }
+# Longest time between the clicks of a double click in a window of many frames a second, s.
+_DOUBLE_CLICK_S = 0.3
 # Any number that no control has.
 _TAB_OWNER = 0x67_6C_73
 _MODIFIERS = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
+
+
+def _allow_slow_frames(frames_per_s: float) -> None:
+    """Lengthen the time of a double click by three frames: imgui gives each frame one change of a button."""
+    io = imgui.get_io()
+    io.mouse_double_click_time = _DOUBLE_CLICK_S + (3 / frames_per_s if frames_per_s else 0.0)
+    io.mouse_single_click_delay = 2 * io.mouse_double_click_time  # imgui requires that it is longer
 
 
 class Keyboard:
@@ -181,6 +190,7 @@ class Interface:
         imgui.get_style().font_scale_main = self.text_scale
         imgui.backends.opengl3_new_frame()
         new_platform_frame()
+        _allow_slow_frames(session.times.frames_per_s)
         imgui.new_frame()
         # Before the session's update, so that this frame shows the effect of a key.
         self.keyboard.poll(self.perform)
@@ -302,8 +312,6 @@ class Interface:
                 files.ask("open", "Open a flight log", session.loader.last_opened or Path.cwd(), session.open)
             case Action.OPEN_BESIDE if session.loaded is None or session.loaded.is_live:
                 session.notify("open a log first (Ctrl+O): another one of the same flight is shown beside it")
-            case Action.OPEN_BESIDE if session.navigator.others:
-                session.navigator.others = ()
             case Action.OPEN_BESIDE:
                 files.ask(
                     "open",

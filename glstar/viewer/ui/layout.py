@@ -193,7 +193,11 @@ class Panels:
             session.notify(self._playback.error, is_error=True)
             self._playback.error = None
         self._timeline.draw(
-            session.head, night=session.night, samples=self._samples(self._timeline), images_s=self._images_s()
+            session.head,
+            night=session.night,
+            samples=self._samples(self._timeline),
+            images_s=self._images_s(),
+            others=session.loader.others.shown,
         )
 
     def _samples(self, timeline: Timeline) -> SkySamples | None:

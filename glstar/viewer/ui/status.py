@@ -162,8 +162,9 @@ def _draw_items(session: Session) -> None:
         _item(f"{scene.visible.size} stars")
         _item(f"{100 * session.view.zoom:.0f} %")
     _draw_conditions(session.conditions)
-    if session.loader.path is not None:
-        _item(f"reading {session.loader.path.name} ...", accent())
+    for path in (session.loader.path, session.loader.others.reading):
+        if path is not None:
+            _item(f"reading {path.name} ...", accent())
     if session.export is not None and _draw_progress(session.export.progress, "export"):
         session.export.cancel()
     if session.video is not None and _draw_progress(session.video.progress, "video"):

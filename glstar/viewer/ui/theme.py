@@ -281,6 +281,8 @@ _BEHIND = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
 _NO_MARKER = int(implot.Marker_.none)
 _DOWN, _UP, _SQUARE = (int(each) for each in (implot.Marker_.down, implot.Marker_.up, implot.Marker_.square))
 _MARK_PX = 3.0
+# Opacity of the curves of other logs.
+_FAINT = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,6 +290,7 @@ class Palette:
     """The styles of the timeline."""
 
     lines: tuple[implot.Spec, ...]  # Roll, pitch and yaw, and the rates about their axes
+    faint: tuple[implot.Spec, ...]  # The same of other logs
     gap: implot.Spec
     part: implot.Spec  # Between the in and out points
     exposures: implot.Spec
@@ -317,16 +320,20 @@ def _fill(colour: Rgba) -> implot.Spec:
     return implot.Spec(line_color=clear, fill_color=colour, marker=_NO_MARKER, flags=_BEHIND)
 
 
-def _lines(*colours: Rgba) -> tuple[implot.Spec, ...]:
-    return tuple(_line(colour, flags=0) for colour in colours)
+def _lines(*colours: Rgba, opacity: float = 1.0) -> tuple[implot.Spec, ...]:
+    return tuple(_line((*colour[:3], opacity), flags=0) for colour in colours)
 
 
 def _light(*colours: Rgba) -> dict[str, implot.Spec]:
     return {name: _fill(colour) for (name, _), colour in zip(LIGHT_LEVELS, colours, strict=False)}
 
 
+_DAY_LINES: tuple[Rgba, ...] = ((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0))
+_NIGHT_LINES: tuple[Rgba, ...] = ((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0))
+
 DAY_PALETTE = Palette(
-    lines=_lines((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
+    lines=_lines(*_DAY_LINES),
+    faint=_lines(*_DAY_LINES, opacity=_FAINT),
     gap=_fill((0.75, 0.2, 0.2, 0.35)),
     part=_fill((0.3, 0.7, 1.0, 0.14)),
     exposures=_fill((1.0, 1.0, 1.0, 0.10)),
@@ -341,7 +348,8 @@ DAY_PALETTE = Palette(
     light=_light((1.0, 0.95, 0.65, 0.26), (1.0, 0.65, 0.35, 0.22), (0.45, 0.50, 1.0, 0.20), (0.35, 0.40, 0.9, 0.11)),
 )
 NIGHT_PALETTE = Palette(
-    lines=_lines((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
+    lines=_lines(*_NIGHT_LINES),
+    faint=_lines(*_NIGHT_LINES, opacity=_FAINT),
     gap=_fill((0.6, 0.0, 0.0, 0.35)),
     part=_fill((1.0, 0.0, 0.0, 0.16)),
     exposures=_fill((1.0, 0.0, 0.0, 0.12)),

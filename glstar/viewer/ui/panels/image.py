@@ -150,7 +150,7 @@ class ImagePanel:
         io, view = imgui.get_io(), session.view
         if hovered and io.mouse_wheel:
             view.zoom_at(_mouse() - corner, _WHEEL**io.mouse_wheel)
-        if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
+        if _is_dragged():
             comparison = session.comparison
             if comparison.active and comparison.mode is ComparisonMode.WIPE and session.shown is not None:
                 line_px = view.to_picture(_mouse() - corner)[0] + 0.5
@@ -159,7 +159,7 @@ class ImagePanel:
                 view.pan(io.mouse_delta.x, io.mouse_delta.y)
         if hovered and imgui.is_mouse_double_clicked(0):
             view.fit()
-        elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
+        elif hovered and imgui.is_mouse_released(0) and not _is_dragged():
             _select_star(session, self._selection, view.to_picture(_mouse() - corner))
 
     def _look_around(self, session: Session, corner: Float, *, hovered: bool) -> None:
@@ -169,11 +169,11 @@ class ImagePanel:
         at = view.to_picture(_mouse() - corner)
         if hovered and io.mouse_wheel:
             look.zoom(_WHEEL**io.mouse_wheel)
-        if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
+        if _is_dragged():
             look.turn(io.mouse_delta.x / view.zoom, io.mouse_delta.y / view.zoom)
         if hovered and imgui.is_mouse_double_clicked(0) and session.scene is not None:
             look.look_at(at, session.scene)
-        elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
+        elif hovered and imgui.is_mouse_released(0) and not _is_dragged():
             _select_star(session, self._selection, at)
 
     def _show(
@@ -228,6 +228,13 @@ class ImagePanel:
         edges = view.edges(camera.width_px, camera.height_px) + corner
         (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
         draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
+
+
+def _is_dragged() -> bool:
+    """Return whether the last item is dragged, also in the frame of its release: a slow frame has all of a drag."""
+    is_held = imgui.is_item_active() or imgui.is_item_deactivated()
+    moved = imgui.get_mouse_drag_delta(0, 0.0)
+    return is_held and (imgui.is_mouse_dragging(0, _CLICK_PX) or max(abs(moved.x), abs(moved.y)) >= _CLICK_PX)
 
 
 def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float, size: tuple[int, int]) -> None:

@@ -34,6 +34,8 @@ _MIN_PIXEL = 1.5
 # A dark edge around letters: four translucent copies of the text, offset by one pixel each.
 _EDGE = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 _EDGE_OPACITY = 190
+# Least red of a label by night: on black a contrast of 2.9 to 1; lines may be darker.
+_LEAST_RED = 180
 
 # Superscripts of Bayer letters that few fonts have, such as that of upsilon 4 Eridani.
 _RARE = "\u2074\u2075\u2076\u2077\u2078\u2079"
@@ -44,6 +46,12 @@ def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
     """Return the colour of an overlay; `night`: whether to use shades of red only."""
     red, green, blue, opacity = overlay.spec.colour
     return (overlay.spec.night_red, 0, 0, opacity) if night else (red, green, blue, opacity)
+
+
+def label_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
+    """Return the colour of the labels of an overlay: by night at least as bright as can be read."""
+    red, green, blue, opacity = overlay_colour(overlay, night=night)
+    return max(red, _LEAST_RED) if night else red, green, blue, opacity
 
 
 def draw_shapes(
@@ -60,7 +68,7 @@ def draw_shapes(
     for marks in shapes.marks:
         _draw_marks(draw_list, marks, to_screen, overlay_colour(_OVERLAYS[marks.overlay], night=night))
     for labels in shapes.labels:
-        _draw_labels(draw_list, labels, to_screen, clip, overlay_colour(_OVERLAYS[labels.overlay], night=night))
+        _draw_labels(draw_list, labels, to_screen, clip, label_colour(_OVERLAYS[labels.overlay], night=night))
     draw_list.pop_clip_rect()
 
 

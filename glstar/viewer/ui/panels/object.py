@@ -137,8 +137,8 @@ def _draw_pinned(session: Session, selection: Selection) -> None:
     if not imgui.begin_table("##pinned", 1 + len(places), int(imgui.TableFlags_.sizing_stretch_prop)):
         return
     rows: tuple[tuple[str, Callable[[ObjectPlace], str]], ...] = (
-        ("altitude", lambda place: f"{degrees(place.altitude_rad):.3f}°"),
-        ("azimuth", lambda place: f"{degrees(place.azimuth_rad):.3f}°"),
+        ("altitude", lambda place: f"{degrees(place.altitude_rad):.2f}°"),
+        ("azimuth", lambda place: f"{degrees(place.azimuth_rad):.2f}°"),
         ("from axis", lambda place: f"{degrees(place.from_axis_rad):.2f}°"),
         ("x", lambda place: f"{place.x_px:.1f}" if place.on_image else "outside"),
         ("y", lambda place: f"{place.y_px:.1f}" if place.on_image else ""),

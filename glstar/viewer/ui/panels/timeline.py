@@ -9,6 +9,7 @@ from imgui_bundle import imgui, implot
 from glstar.arrays import Float
 from glstar.config import ExposureSection
 from glstar.flight import EventKind, Flight
+from glstar.viewer.flight.others import OtherLog
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.flight.sky import SkySamples, light_intervals
 from glstar.viewer.flight.traces import ANGLES, FlightLines, TimeAxis, TimelineCurve, Trace, motion_traces
@@ -214,6 +215,7 @@ class Timeline:
         # The least and the largest value on the axis of each plot then, and its height, px.
         self._values: dict[str, tuple[float, float, float]] = {}
         self._followed_s = first_s
+        self._others: tuple[OtherLog, ...] = ()
 
     def show(self, lines: FlightLines) -> None:
         """Show newer curves of the same flight; the part that is shown stays."""
@@ -228,13 +230,21 @@ class Timeline:
         self._events = TimelineEvents(flight, self._origin_s)
 
     def draw(
-        self, head: PlayHead, *, night: bool = False, samples: SkySamples | None = None, images_s: Float = _NO_TIMES
+        self,
+        head: PlayHead,
+        *,
+        night: bool = False,
+        samples: SkySamples | None = None,
+        images_s: Float = _NO_TIMES,
+        others: tuple[OtherLog, ...] = (),
     ) -> None:
         """Draw the timeline into the current imgui window, and move the play head with the mouse.
 
         `head`: of the same flight; `night`: whether to use shades of red only; `samples`: for the curves that need
-        simulated exposures; `images_s` (n,): when the real images were taken, s from the flight's first attitude.
+        simulated exposures; `images_s` (n,): when the real images were taken, s from the flight's first attitude;
+        `others`: logs whose curves are drawn faintly.
         """
+        self._others = others
         self._draw_controls()
         self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
         if head.utc_s != self._followed_s and self.follow and not self._scrubbing:
@@ -280,6 +290,9 @@ class Timeline:
         imgui.same_line()
         about = "flight modes, messages, triggers of the camera and real images"
         self.shows_events = draw_checkbox("events", self.shows_events, about)
+        if self._others:
+            imgui.same_line()
+            imgui.text_disabled(f"faint: {', '.join(log.name for log in self._others)}")
 
     def _plots(self, samples: SkySamples | None) -> "list[tuple[TimelineCurve, list[tuple[Float, Float]]]]":
         """Return the plots that fit into the panel, and the points of their lines."""
@@ -298,9 +311,25 @@ class Timeline:
             if self._motion is None:
                 self._motion = motion_traces(self._flight, self._origin_s)
             traces = self._motion[curve]
+        return self._thinned(curve, traces)
+
+    def _thinned(
+        self, curve: TimelineCurve, traces: tuple[Trace, ...], later_s: float = 0.0
+    ) -> list[tuple[Float, Float]]:
+        """Return the points of lines that the plot of a curve needs; `later_s`: their origin after the timeline's."""
         tolerance = _STRAIGHT_PX * self._per_px.get(curve, 0.0)
-        part = self.axis.start_s, self.axis.stop_s, round(self._width_px)
-        return [trace.thinned(*part, tolerance) for trace in traces]
+        part = self.axis.start_s - later_s, self.axis.stop_s - later_s, round(self._width_px)
+        points = [trace.thinned(*part, tolerance) for trace in traces]
+        return [(second + later_s, value) for second, value in points] if later_s else points
+
+    def _draw_others(self, curve: TimelineCurve, palette: Palette) -> None:
+        """Draw the lines of the other logs into the current plot, behind those of the flight."""
+        for log in self._others:
+            later_s = log.flight.attitude.first_s - self._origin_s
+            points = self._thinned(curve, log.traces.get(curve, ()), later_s)
+            for name, (second, value), style in zip(curve.spec.names, points, palette.faint, strict=False):
+                if second.size and name not in self._hidden:
+                    implot.plot_line(f"{name}##{log.name}", second, value, style)
 
     def _begin(
         self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
@@ -376,6 +405,7 @@ class Timeline:
         if events is not None:
             events.draw(self.axis, self._width_px, verticals.palette, images_s)
         implot.set_axes(_X1_AXIS, _Y1_AXIS)
+        self._draw_others(curve, verticals.palette)
         for name, (second, value), style in zip(curve.spec.names, points, verticals.palette.lines, strict=False):
             if second.size and name not in self._hidden:
                 implot.plot_line(name, second, value, style)
@@ -450,6 +480,10 @@ class Timeline:
         sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
         angles_deg = np.rad2deg(lines.angles_rad[:, sample])
         angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
+        for log in self._others:
+            others_rad = log.angles_rad(utc_s)
+            others_deg = "no attitude" if others_rad is None else "  ".join(f"{np.rad2deg(a):.2f}" for a in others_rad)
+            angles += f"\n{log.name}: {others_deg}"
         happened = self._events.near(second, self._width_px, self.axis) if self.shows_events else []
         imgui.set_tooltip("\n".join([f"{second:.3f} s", angles, *happened]).replace("%", "%%"))
 
