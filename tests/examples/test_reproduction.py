@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,10 @@ def masked(text: str) -> str:
 
 def test_the_page_has_every_figure_of_the_script() -> None:
     values = {
-        name: {str(seed): {figure.key: 1.0 for figure in of.figures} for seed in range(1 if of.most_seeds == 1 else 3)}
+        name: {
+            str(seed): {key: 1.0 for figure in of.figures for key in figure.key.split("|")}
+            for seed in range(1 if of.most_seeds == 1 else 3)
+        }
         for name, of in EXPERIMENTS.items()
     }
     made = [line.strip("|").split("|") for line in tables(values).splitlines() if line.startswith("| ")]
@@ -66,4 +70,5 @@ def test_a_spread_counts_seeds_without_a_value() -> None:
     assert spread([1.0, 2.0, 3.0], figure) == "2.0 km (1.2 to 2.8)"
     assert spread([1.0, 2.0, float("nan"), 3.0], figure) == "2.0 km (1.2 to 2.8), 3 of 4 seeds"
     assert spread([float("nan")], figure) == "no value"
+    assert spread([1.0, 2.0, 3.0, 5.0], replace(figure, below=3.0)) == "50 % of orbits"
     assert reason([1.0, 2.0, float("nan"), 6.0], figure) == "mean of ours 3.0 km"
