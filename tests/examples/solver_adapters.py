@@ -24,11 +24,20 @@ from scipy import ndimage
 DETECTION_SIGMA = 6.0
 MOST_SPOTS = 60
 FAINTEST_VMAG, LEAST_MATCHES = 6.0, 7  # of ruststartracker
+MOST_QUADS, LEAST_SPOTS = 10_000, 4  # of astrometry.net: patterns that it tries on each of its index files
 MATCH_PX = 6.0  # a spot this close to a star of a map is that star
 
 
+def grey(image):
+    """Return an image of one channel: the mean of several; a raw mosaic stays, see `spots`."""
+    return image.mean(axis=2) if image.ndim == 3 else image
+
+
 def spots(image):
-    """Return the centroids (x, y) of stars, the brightest first, (n, 2) px: pixel (0, 0) is a centre."""
+    """Return the centroids (x, y) of stars, the brightest first, (n, 2) px: pixel (0, 0) is a centre.
+
+    The smoothing leaves 0.7 % of the checkerboard that the colours of a raw mosaic make of the sky.
+    """
     signal = ndimage.gaussian_filter(image.astype(np.float64) - np.median(image), 1.0)
     noise = 1.4826 * np.median(np.abs(signal - np.median(signal)))
     labels, count = ndimage.label(signal > max(DETECTION_SIGMA * noise, 2.0), structure=np.ones((3, 3)))
@@ -173,13 +182,22 @@ def astrometry():
     import astrometry as solver  # noqa: PLC0415 - only the chosen solver is installed
 
     solving = solver.Solver(sorted(Path(os.environ["ASTROMETRY_INDEXES"]).glob("*.fits")))
-    # Rows that count downwards are a flipped image there.  Without a tune-up the map is gnomonic.
-    parameters = solver.SolutionParameters(parity=solver.Parity.FLIP, sip_order=0, tune_up_logodds_threshold=None)
+    # Rows that count downwards are a flipped image there.  Without a tune-up the map is gnomonic.  The first map whose
+    # odds suffice is the answer, and without one the search ends after a number of patterns.
+    parameters = solver.SolutionParameters(
+        parity=solver.Parity.FLIP,
+        sip_order=0,
+        tune_up_logodds_threshold=None,
+        maximum_quads=MOST_QUADS,
+        logodds_callback=lambda _: solver.Action.STOP,
+    )
 
     def solve(image, nav, camera):
         arcsec_per_px = math.degrees(1 / camera.fx) * 3600
         hint = solver.SizeHint(0.7 * arcsec_per_px, 1.3 * arcsec_per_px)
         seen_px = spots(image)
+        if len(seen_px) < LEAST_SPOTS:
+            return None
         found_px = camera.centred(seen_px) + np.array([camera.cx, camera.cy])
         solution = solving.solve(found_px, hint, None, parameters)
         if not solution.has_match():
@@ -263,7 +281,7 @@ def main(name, directory, answers):
     lines = (Path(directory) / "nav.jsonl").read_text(encoding="utf-8").splitlines()
     with Path(answers).open("w", encoding="utf-8") as file:
         for nav in map(json.loads, lines):
-            image = np.array(Image.open(Path(directory) / nav["file"]))
+            image = grey(np.array(Image.open(Path(directory) / nav["file"])))
             began_s = time.perf_counter()
             found = solve(image, nav, Camera(nav["camera"])) if nav["up_camera"] is not None else None
             time_ms = 1000 * (time.perf_counter() - began_s)
