@@ -24,7 +24,7 @@ from scipy import ndimage
 DETECTION_SIGMA = 6.0
 MOST_SPOTS = 60
 FAINTEST_VMAG, LEAST_MATCHES = 6.0, 7  # of ruststartracker
-MOST_QUADS, LEAST_SPOTS = 10_000, 4  # of astrometry.net: patterns that it tries on each of its index files
+MOST_CPU_S, LEAST_SPOTS = 5, 4  # of astrometry.net, for a frame
 MATCH_PX = 6.0  # a spot this close to a star of a map is that star
 
 
@@ -183,12 +183,11 @@ def astrometry():
 
     solving = solver.Solver(sorted(Path(os.environ["ASTROMETRY_INDEXES"]).glob("*.fits")))
     # Rows that count downwards are a flipped image there.  Without a tune-up the map is gnomonic.  The first map whose
-    # odds suffice is the answer, and without one the search ends after a number of patterns.
+    # odds suffice is the answer.
     parameters = solver.SolutionParameters(
         parity=solver.Parity.FLIP,
         sip_order=0,
         tune_up_logodds_threshold=None,
-        maximum_quads=MOST_QUADS,
         logodds_callback=lambda _: solver.Action.STOP,
     )
 
@@ -209,7 +208,38 @@ def astrometry():
         same = np.argwhere((distance_px < MATCH_PX) & (distance_px == distance_px.min(axis=0)))
         return attitude(camera.rays(seen_px[same[:, 0]]), sky[same[:, 1]]) if len(same) > 2 else None
 
-    return solve
+    # A limit of quads does not bound the time: 100 took 10 s on pieces of long trails.
+    return limited(solve, MOST_CPU_S)
+
+
+def limited(solve, cpu_s):
+    """Return a solver that works in a process of its own, and refuses a frame after seconds of processor time."""
+    import multiprocessing  # noqa: PLC0415 - POSIX only
+    import resource  # noqa: PLC0415 - the same
+
+    fork = multiprocessing.get_context("fork")
+
+    def answer(*arguments):
+        receiver, sender = fork.Pipe(duplex=False)
+
+        def work():
+            resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
+            sender.send(solve(*arguments))
+
+        process = fork.Process(target=work)
+        process.start()
+        sender.close()
+        try:
+            return receiver.recv()
+        except EOFError:
+            process.join()
+            if process.exitcode == 1:
+                raise SystemExit("the solver failed; what it printed is above") from None
+            return None
+        finally:
+            process.join()
+
+    return answer
 
 
 def ruststartracker():
