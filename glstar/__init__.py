@@ -7,7 +7,7 @@ The names in ``__all__`` are the public interface; ``glstar manual python`` desc
 first used: ``import glstar`` itself loads no OpenGL, no window toolkit and no MAVLink library.
 """
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 # The module that defines each public name; __init__.pyi gives type checkers the same list.
 _MODULES = {

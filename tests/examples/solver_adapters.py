@@ -24,11 +24,20 @@ from scipy import ndimage
 DETECTION_SIGMA = 6.0
 MOST_SPOTS = 60
 FAINTEST_VMAG, LEAST_MATCHES = 6.0, 7  # of ruststartracker
+MOST_CPU_S, LEAST_SPOTS = 5, 4  # of astrometry.net, for a frame
 MATCH_PX = 6.0  # a spot this close to a star of a map is that star
 
 
+def grey(image):
+    """Return an image of one channel: the mean of several; a raw mosaic stays, see `spots`."""
+    return image.mean(axis=2) if image.ndim == 3 else image
+
+
 def spots(image):
-    """Return the centroids (x, y) of stars, the brightest first, (n, 2) px: pixel (0, 0) is a centre."""
+    """Return the centroids (x, y) of stars, the brightest first, (n, 2) px: pixel (0, 0) is a centre.
+
+    The smoothing leaves 0.7 % of the checkerboard that the colours of a raw mosaic make of the sky.
+    """
     signal = ndimage.gaussian_filter(image.astype(np.float64) - np.median(image), 1.0)
     noise = 1.4826 * np.median(np.abs(signal - np.median(signal)))
     labels, count = ndimage.label(signal > max(DETECTION_SIGMA * noise, 2.0), structure=np.ones((3, 3)))
@@ -173,13 +182,21 @@ def astrometry():
     import astrometry as solver  # noqa: PLC0415 - only the chosen solver is installed
 
     solving = solver.Solver(sorted(Path(os.environ["ASTROMETRY_INDEXES"]).glob("*.fits")))
-    # Rows that count downwards are a flipped image there.  Without a tune-up the map is gnomonic.
-    parameters = solver.SolutionParameters(parity=solver.Parity.FLIP, sip_order=0, tune_up_logodds_threshold=None)
+    # Rows that count downwards are a flipped image there.  Without a tune-up the map is gnomonic.  The first map whose
+    # odds suffice is the answer.
+    parameters = solver.SolutionParameters(
+        parity=solver.Parity.FLIP,
+        sip_order=0,
+        tune_up_logodds_threshold=None,
+        logodds_callback=lambda _: solver.Action.STOP,
+    )
 
     def solve(image, nav, camera):
         arcsec_per_px = math.degrees(1 / camera.fx) * 3600
         hint = solver.SizeHint(0.7 * arcsec_per_px, 1.3 * arcsec_per_px)
         seen_px = spots(image)
+        if len(seen_px) < LEAST_SPOTS:
+            return None
         found_px = camera.centred(seen_px) + np.array([camera.cx, camera.cy])
         solution = solving.solve(found_px, hint, None, parameters)
         if not solution.has_match():
@@ -191,7 +208,38 @@ def astrometry():
         same = np.argwhere((distance_px < MATCH_PX) & (distance_px == distance_px.min(axis=0)))
         return attitude(camera.rays(seen_px[same[:, 0]]), sky[same[:, 1]]) if len(same) > 2 else None
 
-    return solve
+    # A limit of quads does not bound the time: 100 took 10 s on pieces of long trails.
+    return limited(solve, MOST_CPU_S)
+
+
+def limited(solve, cpu_s):
+    """Return a solver that works in a process of its own, and refuses a frame after seconds of processor time."""
+    import multiprocessing  # noqa: PLC0415 - POSIX only
+    import resource  # noqa: PLC0415 - the same
+
+    fork = multiprocessing.get_context("fork")
+
+    def answer(*arguments):
+        receiver, sender = fork.Pipe(duplex=False)
+
+        def work():
+            resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
+            sender.send(solve(*arguments))
+
+        process = fork.Process(target=work)
+        process.start()
+        sender.close()
+        try:
+            return receiver.recv()
+        except EOFError:
+            process.join()
+            if process.exitcode == 1:
+                raise SystemExit("the solver failed; what it printed is above") from None
+            return None
+        finally:
+            process.join()
+
+    return answer
 
 
 def ruststartracker():
@@ -263,7 +311,7 @@ def main(name, directory, answers):
     lines = (Path(directory) / "nav.jsonl").read_text(encoding="utf-8").splitlines()
     with Path(answers).open("w", encoding="utf-8") as file:
         for nav in map(json.loads, lines):
-            image = np.array(Image.open(Path(directory) / nav["file"]))
+            image = grey(np.array(Image.open(Path(directory) / nav["file"])))
             began_s = time.perf_counter()
             found = solve(image, nav, Camera(nav["camera"])) if nav["up_camera"] is not None else None
             time_ms = 1000 * (time.perf_counter() - began_s)

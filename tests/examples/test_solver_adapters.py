@@ -135,6 +135,59 @@ def test_the_record_of_a_frame_states_its_conventions_and_follows_them(night: Pa
         np.testing.assert_allclose(truth["up_camera"], up_camera, rtol=0, atol=1e-6)
 
 
+MOSAIC = """
+[camera]
+width_px = 640
+height_px = 480
+fx_px = 950.0
+fy_px = 950.0
+
+[sensor]
+band = "imx477"
+mosaic = "rggb"
+"""
+
+
+def test_stars_are_found_on_a_raw_mosaic(tmp_path: Path) -> None:
+    night = exported(tmp_path, MOSAIC + CONFIG[CONFIG.index("[exposure]") :])
+    truth = rows(night / "hidden" / "truth.jsonl")[0]
+    image = cv2.imread(str(night / "seen" / truth["file"]), cv2.IMREAD_UNCHANGED)
+    bright = [star for star in truth["stars"] if star["snr"] > 30 and star["in_frame"] == 1]
+    true_px = np.array([(star["centroid_x_px"], star["centroid_y_px"]) for star in bright])
+
+    found_px = solver_adapters.spots(solver_adapters.grey(image))
+
+    # The sky of the colours differs by more than the least signal of a star.
+    assert np.ptp([np.median(image[y::2, x::2]) for y in (0, 1) for x in (0, 1)]) > 10
+    assert len(found_px) < solver_adapters.MOST_SPOTS / 2  # a checkerboard is thousands of spots
+    separation_px = np.linalg.norm(found_px[:, np.newaxis] - true_px, axis=-1).min(axis=0)
+    assert max(separation_px) < 0.5
+
+
+def test_an_image_of_three_channels_is_averaged() -> None:
+    image = np.stack([np.full((2, 3), value, np.uint8) for value in (10, 20, 60)], axis=2)
+
+    np.testing.assert_array_equal(solver_adapters.grey(image), np.full((2, 3), 30.0))
+    assert solver_adapters.grey(image[..., 0]).dtype == np.uint8
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the limit is one of POSIX")
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+def test_a_search_without_end_is_refused_and_a_fault_is_not(capfd: pytest.CaptureFixture[str]) -> None:
+    def solve(work: str) -> Row | None:
+        while work == "endless":
+            pass
+        return {"ra_deg": 1 / len(work)}
+
+    answer = solver_adapters.limited(solve, 1)
+
+    assert answer("four") == {"ra_deg": 0.25}
+    assert answer("endless") is None
+    with pytest.raises(SystemExit, match="failed"):
+        answer("")
+    assert "ZeroDivisionError" in capfd.readouterr().err
+
+
 @cache
 def interpreter(solver: str) -> str | None:
     """Return a Python that has a solver: this one, or one of those in GLSTAR_SOLVER_PYTHONS."""

@@ -30,6 +30,15 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 
     assert citation["version"] == glstar.__version__
     assert citation["license"] == "MIT"
+    # Of an archive that does not exist yet: a comment until a maintainer knows the number.
+    assert re.fullmatch(r"10\.\d{4,9}/\S+", citation.get("doi", "10.5281/zenodo.1"))
+
+
+def test_the_release_of_the_citation_is_dated_as_in_the_changelog() -> None:
+    citation = yaml.safe_load((ROOT / ".github" / "CITATION.cff").read_text(encoding="utf-8"))
+    changelog = (ROOT / ".github" / "CHANGELOG.md").read_text(encoding="utf-8")
+
+    assert f"\n## {glstar.__version__} ({citation['date-released'].isoformat()})\n" in changelog
 
 
 def test_the_suite_runs_on_every_system() -> None:
@@ -75,7 +84,7 @@ def test_the_image_takes_extras_that_exist() -> None:
 def releases() -> dict[str, list[str]]:
     """Return the lines of each release in the changelog, without empty ones."""
     _, *parts = re.split(r"^## ", (ROOT / ".github" / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
-    return {part.splitlines()[0]: [line for line in part.splitlines()[1:] if line] for part in parts}
+    return {part.split()[0]: [line for line in part.splitlines()[1:] if line] for part in parts}
 
 
 def test_the_changelog_begins_with_the_version_of_the_package_or_what_comes_after_it() -> None:
@@ -92,7 +101,7 @@ def test_the_changelog_of_a_release_is_short() -> None:
 
 def test_the_pages_that_the_changelog_names_exist() -> None:
     topics = {path.stem for path in (ROOT / "assets" / "manual").glob("*.md")}
-    text = "\n".join(releases()["0.2.0"])
+    text = "\n".join(line for name, lines in releases().items() if name != "0.1.0" for line in lines)
     named = {
         page for pages in re.findall(r"\(([a-z-]+(?:,\s+[a-z-]+)*)\)\.", text) for page in re.split(r",\s+", pages)
     }
