@@ -40,7 +40,7 @@ ELECTRONS: Settings = {
 NATURAL = ELECTRONS | {"sky.preset": "full"}
 CLOUD: Settings = {"cloud.coverage": 0.5, "cloud.scale_m": 600.0}
 SKYLINE = "0,10\n90,20\n180,5\n270,15\n"
-SKIES: dict[str, Settings] = {
+BACKGROUNDS: dict[str, Settings] = {
     "paper": {"sensor.sky_mean_dn": 40.0},
     "electrons": ELECTRONS,
     "map": {"sensor.sky_mean_dn": 40.0, "sensor.sky_map": "map.npy"},
@@ -91,11 +91,11 @@ def is_beyond(scene: Scene) -> np.ndarray[Any, Any]:
 
 @pytest.mark.parametrize("lens", [FISHEYE, BARREL], ids=["fisheye", "barrel"])
 @pytest.mark.parametrize("vignetting", VIGNETTINGS)
-@pytest.mark.parametrize("sky", SKIES)
+@pytest.mark.parametrize("sky", BACKGROUNDS)
 def test_no_light_is_beyond_the_image_circle(renderer, tmp_path, sky, vignetting, lens):
     if vignetting != "none" and sky not in {"paper", "electrons", "skyline and cloud"}:
-        pytest.skip("vignetting comes after these skies as after that with skyline and cloud")
-    scene = scene_of(lens | SKIES[sky] | VIGNETTINGS[vignetting], tmp_path)
+        pytest.skip("vignetting follows these backgrounds as it follows that with skyline and cloud")
+    scene = scene_of(lens | BACKGROUNDS[sky] | VIGNETTINGS[vignetting], tmp_path)
 
     renderer.develop(scene, seed=1, noiseless=True)
     pixels, beyond = renderer.read().frame().pixels, is_beyond(scene)
@@ -108,12 +108,12 @@ def test_no_light_is_beyond_the_image_circle(renderer, tmp_path, sky, vignetting
 
 @pytest.mark.parametrize("sky", ["electrons", "natural", "cloud"])
 def test_the_sky_has_its_brightness_up_to_the_image_circle(renderer, tmp_path, sky):
-    """It is that of a lens that sees more, but for pixels at the horizon, where sky and ground meet."""
-    scene = scene_of(FISHEYE | SKIES[sky] | {"sensor.bit_depth": 16}, tmp_path)
-    wider = scene_of(FISHEYE | SKIES[sky] | {"sensor.bit_depth": 16, "camera.max_angle_deg": 110.0}, tmp_path)
+    """It is that of a lens with a larger limit, but for pixels at the horizon, where sky and ground meet."""
+    scene = scene_of(FISHEYE | BACKGROUNDS[sky] | {"sensor.bit_depth": 16}, tmp_path)
+    larger = scene_of(FISHEYE | BACKGROUNDS[sky] | {"sensor.bit_depth": 16, "camera.max_angle_deg": 110.0}, tmp_path)
 
     images = []
-    for each in (scene, wider):
+    for each in (scene, larger):
         renderer.develop(each.with_visible(slice(0)), seed=1, noiseless=True)
         images.append(renderer.read().frame().pixels.astype(np.float64))
 
