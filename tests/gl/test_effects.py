@@ -100,6 +100,7 @@ def test_effects_are_applied_in_the_order_of_their_stages(draw: Draw) -> None:
     assert np.unique(draw(empty, replace(halved, stage=Stage.NOISE))).tolist() == [1000]
     assert [one.name for one in active_effects(CLEAN, [*reversed(EFFECTS), halved])] == [
         "halved",
+        "image_circle",
         "sky_level",
         "noise",
         "quantisation",

@@ -20,6 +20,8 @@ from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaid
 LENS = camera(1014, 760, 967.7425)
 EXPOSURE = Exposure(NIGHT_UTC_S + 0.213, 0.5, trail="analytic")
 SAMPLES, STEP, STARS = 2400, 8, 24
+# Points from which the peak is climbed, and steps of each.
+_CLIMBED, _STEPS = 40, 30
 
 
 def shaken(deg: float, seed: int) -> Simulator:
@@ -41,7 +43,13 @@ def brute_force(path_px: np.ndarray, sigma_px: float) -> tuple[float, float]:
         for width_px2 in (sigma_px**2, 2 * sigma_px**2)
     )
     on_image = LENS.contains(point_px)
-    return signal[on_image].max(), on_image.mean() / (overlap * on_image).mean()
+    # Between two parts of the path there may be more light than on either: mean shifts climb there.
+    top_px = point_px[on_image][np.argsort(signal[on_image])[-_CLIMBED:]]
+    for _ in range(_STEPS):
+        near = np.exp(((top_px[:, np.newaxis] - path_px) ** 2).sum(axis=-1) / (-2 * sigma_px**2))
+        top_px = ((near @ path_px) / near.sum(axis=1, keepdims=True)).clip(-0.5, np.array([1013.5, 759.5]))
+    climbed = near.mean(axis=1).max() / (2 * np.pi * sigma_px**2)
+    return max(signal[on_image].max(), climbed), on_image.mean() / (overlap * on_image).mean()
 
 
 @pytest.mark.parametrize(
@@ -75,14 +83,13 @@ def test_expected_peaks_and_areas_of_rough_flights_are_those_of_brute_force(deg,
 
     assert len(errors) >= STARS - 4
     peak_errors, area_errors = np.abs(errors).T
-    limit = 0.03 if deg < 1 else 0.06
-    assert np.median(peak_errors) < 0.01
-    assert np.quantile(peak_errors, 0.9) < 0.02
-    assert np.median(area_errors) < 0.02
-    assert np.quantile(area_errors, 0.9) < limit
+    assert np.median(peak_errors) < 0.003
+    assert peak_errors.max() < 0.02
+    assert np.median(area_errors) < 0.005
+    assert np.quantile(area_errors, 0.9) < 0.02
 
 
-@pytest.mark.parametrize(("duration_s", "within"), [(0.5, 0.01), (2.0, 0.02), (6.0, 0.02)])
+@pytest.mark.parametrize(("duration_s", "within"), [(0.5, 0.003), (2.0, 0.01), (6.0, 0.02)])
 def test_the_noise_of_long_exposures_with_gusts_and_vibration_is_that_of_brute_force(duration_s, within):
     """Paths of 200 to 2400 lines: groups of them are as wide as the vibration."""
     flight = open_flight("fly:orbit?radius_m=300&gusts=severe&vibration=37,0.15;61,0.1,pitch&seed=1")
@@ -114,10 +121,10 @@ def test_lines_far_beside_the_image_leave_finite_signals() -> None:
     rng = np.random.default_rng(3)
     step_px = rng.normal(0, 6e4, (2, 50, 40))
     middle_px = np.cumsum(step_px, axis=1) - step_px / 2
-    lines = brightestpoints._Lines(middle_px, step_px, np.full((50, 40), 0.02), np.ones(40, np.bool_))
+    lines = brightestpoints._Lines(middle_px, step_px, np.full((50, 40), 0.02))
 
     with np.errstate(all="raise", under="ignore"):
-        narrow, wide = brightestpoints._signals_and_overlaps(lines, 1.2)
+        narrow, wide = brightestpoints._signals_and_overlaps(lines, 1.2, np.ones((50, 40), np.bool_))
 
     # A line of its own: its light per length; 50 lines cross rarely.
     length_px = np.hypot(*step_px)

@@ -21,7 +21,7 @@ from glstar.render.effects.effect import (
 )
 from glstar.render.effects.electrons import BLACK_LEVEL, BLOOMING, DARK_CURRENT, FULL_WELL, QUANTISATION
 from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
-from glstar.render.effects.lensfalloff import FLAT_FALLOFF, LENS_FALLOFF
+from glstar.render.effects.lensfalloff import FLAT_FALLOFF, IMAGE_CIRCLE, LENS_FALLOFF
 from glstar.render.effects.lensflare import FLARE
 from glstar.render.effects.naturalsky import NATURAL_SKY
 from glstar.render.effects.noise import FULL_PIXELS, NOISE, ROW_NOISE, SHOT_NOISE
@@ -73,6 +73,7 @@ EFFECTS: tuple[Effect, ...] = (
     SCINTILLATION,
     CLOUD,
     FLARE,
+    IMAGE_CIRCLE,
     CAMERA_PROCESSING,
 )
 

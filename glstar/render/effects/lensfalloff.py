@@ -1,4 +1,4 @@
-"""Vignetting of the lens, for stars and for the sky."""
+"""Vignetting of the lens, for stars and for the sky, and the image circle, beyond which it shows nothing."""
 
 from collections.abc import Hashable, Mapping
 from math import sqrt
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.vignetting import VIGNETTINGS, Vignetting, image_grid
-from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
-from glstar.render.effects.sky import UNIFORM_SKY, uniform_sky_dn
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values, quads_of
+from glstar.render.effects.sky import UNIFORM_SKY, beyond_lens, uniform_sky_dn
 from glstar.render.scene.scene import Scene
 
 _DEFAULT = Vignetting()
@@ -186,6 +186,36 @@ vec4 flat_falloff(vec4 signal_dn, uvec2 quad) {
     vec4 along = vec4(0.0, 1.0, 2.0, 3.0) / 3.0;
     vec4 star = mix(first.rrrr, last.rrrr, along), sky = mix(first.gggg, last.gggg, along);
     return (signal_dn - flat_sky_dn) * star + flat_sky_dn * sky;
+}
+""",
+)
+
+# After all light, measured backgrounds and flare too.
+IMAGE_CIRCLE = Effect(
+    name="image_circle",
+    section="lens",
+    keys=(),
+    stage=Stage.SKY,
+    textures=(
+        EffectTexture(
+            "seen_by_lens",
+            lambda _values, scene: quads_of(np.where(beyond_lens(scene.camera), np.float32(0), np.float32(1))),
+            lambda _values, scene: scene.camera,
+            per_quad=True,
+        ),
+    ),
+    options=lambda _values, scene: {"IMAGE_CIRCLE": int(beyond_lens(scene.camera).any())},
+    glsl="""\
+// IMAGE_CIRCLE: 1 if the lens shows nothing at some pixels.
+#if IMAGE_CIRCLE
+uniform sampler2D seen_by_lens;
+#endif
+
+vec4 image_circle(vec4 signal_dn, uvec2 quad) {
+#if IMAGE_CIRCLE
+    signal_dn *= texelFetch(seen_by_lens, ivec2(quad), 0);
+#endif
+    return signal_dn;
 }
 """,
 )

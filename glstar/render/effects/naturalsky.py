@@ -126,17 +126,36 @@ def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
     return sun, moon
 
 
+# Nodes beyond the limit of a lens have the solid angle at this part of the limit: nearer to it, it may be infinite.
+_NEAR_LIMIT = 0.99
+
+
 @lru_cache(maxsize=8)
 def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
-    """Return the solid angles of pixels at the texture's nodes, (rows, columns); 0 where the lens shows nothing."""
-    centres = skylight.node_positions(camera, grid)
+    """Return the solid angles of pixels at the texture's nodes, (rows, columns).
 
-    def unit(offset: tuple[float, float]) -> Float:
-        return camera.unit_vectors(centres + np.array(offset))
+    Nodes where the lens shows nothing have about that of the nearest ones: pixels between both are linear.
+    """
+    centres = skylight.node_positions(camera, grid)
+    solid_angle = _solid_angle_at(camera, centres)
+    unseen = np.isnan(solid_angle)
+    if unseen.any():
+        across = skylight.node_rays(camera, grid)[unseen][:, :2]
+        across *= np.sin(_NEAR_LIMIT * camera.limit_rad) / np.linalg.norm(across, axis=1, keepdims=True)
+        ahead = np.full(len(across), np.cos(_NEAR_LIMIT * camera.limit_rad))
+        solid_angle[unseen] = _solid_angle_at(camera, camera.project(np.column_stack([across, ahead])))
+    return np.nan_to_num(solid_angle) * _ARCSEC2_PER_SR
+
+
+def _solid_angle_at(camera: Camera, centres_px: Float) -> Float:
+    """Return the solid angles of pixels, (...) sr; NaN where the lens shows nothing within half a pixel."""
+
+    def unit(offset_px: tuple[float, float]) -> Float:
+        return camera.unit_vectors(centres_px + np.array(offset_px))
 
     along_x = unit((0.5, 0.0)) - unit((-0.5, 0.0))
     along_y = unit((0.0, 0.5)) - unit((0.0, -0.5))
-    return np.asarray(np.nan_to_num(np.linalg.norm(np.cross(along_x, along_y), axis=-1)) * _ARCSEC2_PER_SR)
+    return np.asarray(np.linalg.norm(np.cross(along_x, along_y), axis=-1))
 
 
 def _grid(scene: Scene) -> tuple[int, int]:

@@ -173,6 +173,16 @@ def node_positions(camera: Camera, grid: tuple[int, int]) -> Float:
 
 
 @lru_cache(maxsize=8)
+def beyond_lens(camera: Camera) -> NDArray[np.bool_]:
+    """Return at which pixels the lens shows nothing, (height, width): those that no direction reaches."""
+    shape = camera.height_px, camera.width_px
+    if camera.lens is None:
+        return np.broadcast_to(np.False_, shape)
+    rows = (np.stack([np.arange(shape[1]), np.full(shape[1], row)], axis=-1) for row in range(shape[0]))
+    return np.stack([np.isnan(camera.unit_vectors(row)[:, 0]) for row in rows])
+
+
+@lru_cache(maxsize=8)
 def node_rays(camera: Camera, grid: tuple[int, int]) -> Float:
     """Return the directions of columns and rows of nodes, (rows, columns, 3) unit vectors in the camera frame.
 

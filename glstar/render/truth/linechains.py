@@ -17,8 +17,8 @@ Stars = slice | NDArray[np.intp]
 
 # Lines of an exposure, at least.
 _MIN_PARTS = 16
-# Lines that are shorter than this, sigma, are wide Gaussians instead: the difference is below 1e-4.
-_SHORT_SIGMA = 0.5
+# Lines that are shorter than this, sigma, are wide Gaussians instead: the difference is below 1e-3.
+_SHORT_SIGMA = 1.0
 # Lines whose ends are farther than this, sigma, add less than 1e-5.
 _FAR_SIGMA = 5.0
 
@@ -121,29 +121,10 @@ class NearLines:
         passing = None if transmission is None else transmission.ravel().take(near)
         return cls(star, sigma_px, (middle_x, middle_y), (along_x, along_y), length_px, weight, passing)
 
-    def nearer(self, point_px: Float, reach_px: Float) -> "SignalOfLines":
-        """Return the signal of those that are nearer to another point of their star; parameters of `of`."""
-        reach = self.length_px / 2
-        reach += (reach_px + _FAR_SIGMA * self.sigma_px).take(self.star)
-        near = np.flatnonzero(
-            _square_distance(self.middle_px, *(at.take(self.star) for at in point_px.T)) < reach * reach
-        )
-        if len(near) == len(self.star):
-            return SignalOfLines.of(self)
-        (middle_x, middle_y), (along_x, along_y) = (
-            [axis.take(near) for axis in of] for of in (self.middle_px, self.along)
-        )
-        return SignalOfLines.of(
-            NearLines(
-                self.star.take(near),
-                self.sigma_px,
-                (middle_x, middle_y),
-                (along_x, along_y),
-                self.length_px.take(near),
-                self.weight.take(near),
-                None if self.transmission is None else self.transmission.take(near),
-            )
-        )
+    @property
+    def signal(self) -> "SignalOfLines":
+        """Their signal as a function of the point."""
+        return SignalOfLines(self, _Density.of(np.maximum(self.length_px, 1e-9) / self.sigma_px))
 
 
 def _square_distance(middle_px: Sequence[Float] | Float, x_px: Float, y_px: Float) -> Float:
@@ -161,11 +142,6 @@ class SignalOfLines(NamedTuple):
 
     lines: NearLines
     density: "_Density"
-
-    @classmethod
-    def of(cls, lines: NearLines) -> Self:
-        """Return the signal of lines."""
-        return cls(lines, _Density.of(np.maximum(lines.length_px, 1e-9) / lines.sigma_px))
 
     def at(self, point_px: Float) -> Float:
         """Return the signal of stars at a point each, (m, 2) px, over their flux, (m,) 1/px^2."""

@@ -1,12 +1,13 @@
 """Expected brightness of star trails: the signal at the brightest point, and the area that its light covers.
 
-Paths are chains of straight lines.  Neighbouring stars have similar paths: what each line receives from all others is
-computed for a grid of example directions over the image, and interpolated for the stars.
+Paths are chains of straight lines.  What each line receives from the others is summed for each star, over those blocks
+of consecutive lines that are near each other.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from itertools import pairwise
+from math import ceil, sqrt
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -29,18 +30,25 @@ from glstar.render.truth.linechains import (
 )
 from glstar.sky.photometry import USUAL_BV
 
-# Example directions across and down the image.
-_GRID = (8, 6)
-_SMALLEST_GRID = (3, 2)
-# Pairs of lines of all example directions, at most: 20 ms.
-_MOST_PAIRS = 8_000_000
-# Lines of a path, at most: groups of neighbours if there are more.  `snr` of two seconds of vibration at 37 Hz is 15 %
-# too large with 64 straight groups, and 1.5 % off (median) with 400 that have a width; both take the same time.
-_MOST_LINES = 400
-# Lines of a path along which the signal is evaluated exactly.
+# Lines of a path, at most: groups of neighbours if there are more.
+_MOST_LINES = 300
+# Lines that are together shorter than this, sigma, are one group.
+_SHORT_SIGMA = 1.5
+# Lines that are longer than this, sigma, are divided, because another part of the path may cross them anywhere.
+_LONG_SIGMA = 6.0
+# Consecutive lines of a block.
+_BLOCK_LINES = 8
+# Blocks that are at a larger distance than this, sigma, do not count: 4e-4 of the light of wide stars.
+_FAR_SIGMA = 5.0
+# Lines of a path along which the signal is evaluated exactly; their separation, sigma; and part of the largest
+# signal at the middle of a line that they have.
 _CANDIDATES = 3
+_SEPARATION_SIGMA = 2.0
+_PROMISING = 0.85
+# Where no light is, px.
+_FAR_PX = 1e7
 # Pairs of lines that are computed at once: more of them fall out of the processor's cache.
-_BLOCK = 32_768
+_PAIRS = 32_768
 # Light that is farther than this, in units of the exponent, does not count; and smaller numbers are slow.
 _FAR_EXPONENT = np.float32(-40.0)
 
@@ -59,60 +67,76 @@ class BrightestPoints:
 
 
 def brightest_points(
-    scene: Scene,
-    direction_eq: Float,
-    chains: Sequence[LineChain],
-    transmissions: Sequence[Float | None],
+    camera: Camera, sigma_px: float, chains: Sequence[LineChain], transmissions: Sequence[Float | None]
 ) -> BrightestPoints:
-    """Return where stars leave most light on the image.
+    """Return where stars of a width leave most light on the image.
 
-    `direction_eq` (m, 3) are apparent unit vectors, `chains` their paths in each short exposure, and `transmissions`
-    what reaches the camera during each line of each chain, (n, m) or None. The square of the signal of a path, summed
-    over the image, is the mean along the path of the signal that stars sqrt(2) times as wide would leave: two Gaussians
-    overlap like one with the sum of their variances.
+    `chains` are their paths in each short exposure, and `transmissions` what reaches the camera during each line of
+    each chain, (n, m) or None. The square of the signal of a path, summed over the image, is the mean along the path of
+    the signal that stars sqrt(2) times as wide would leave: two Gaussians overlap like one with the sum of their
+    variances.
     """
-    lines = _Lines.of(chains)
-    outside_px = scene.camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
+    lines = _Lines.of(chains, sigma_px, camera)
+    outside_px = camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
     on_image = (outside_px <= 0).astype(np.float64)
-    signals, overlaps = _interpolated(scene, direction_eq, lines)
+    signals, overlaps = _signals_and_overlaps(lines, sigma_px, on_image > 0)
     clouded = [transmission for transmission in transmissions if transmission is not None]
-    passing = _grouped(_joined(clouded), mean=True) if clouded else np.ones_like(lines.weight)
-    nearby = _smoothed(lines, passing, scene.sensor.effective_sigma_px, on_image) if clouded else passing
+    passing = lines.means(_joined(clouded)) if clouded else np.ones_like(lines.weight)
+    nearby = _smoothed(lines, passing, sigma_px, on_image) if clouded else passing
     light: Float = np.where(lines.weight > 0, signals * nearby, 0.0)
     light = np.where(outside_px > 0, -outside_px, light)
     on_image *= lines.weight
     square = np.einsum("nm,nm,nm,nm->m", on_image, overlaps, passing, nearby)
     square /= np.maximum(on_image.sum(axis=0), 1e-30)
-    return BrightestPoints(*_candidates(lines, light), square)
+    return BrightestPoints(*_candidates(lines, light, _SEPARATION_SIGMA * sigma_px), square)
 
 
 class _Lines(NamedTuple):
-    """The lines of several chains one after the other: at most some hundred, or groups of them."""
+    """The lines of several chains one after the other: at most some hundred; groups of them, or parts of long ones."""
 
     middle_px: Float  # (2, n, m) middles (x, y), and vectors from the starts to the ends, px
     step_px: Float
     weight: Float  # (n, m) the fraction of each star's flux
-    is_whole: NDArray[np.bool_]  # (m,) bool: which stars are visible all the time
     # (3, n, m) or None: the variance along x, the covariance and the variance along y of the light of groups, px^2.
     spread_px2: Float | None = None
+    first: NDArray[np.intp] | None = None  # The first line of each group
+    parts: int = 1  # Or into how many parts they are divided
 
     @classmethod
-    def of(cls, chains: Sequence[LineChain]) -> Self:
-        """Return the lines of chains."""
-        middle_px, step_px = (_joined([getattr(chain, name) for chain in chains]) for name in ("middle_px", "step_px"))
-        weight = _joined([chain.weight for chain in chains])
-        is_whole = np.all([chain.is_whole for chain in chains], axis=0)
-        if len(weight) <= _MOST_LINES:
-            return cls(middle_px, step_px, weight, is_whole)
-        middles, steps = _grouped(middle_px, mean=True), _grouped(step_px)
+    def of(cls, chains: Sequence[LineChain], sigma_px: float, camera: Camera) -> Self:
+        """Return the lines of chains, for stars of a width."""
+        # Far outside, the polynomial of a lens may be anywhere.
+        middle_px, step_px = (
+            _joined([getattr(chain, name) for chain in chains]).clip(-_FAR_PX, _FAR_PX)
+            for name in ("middle_px", "step_px")
+        )
+        weight, length_px = (_joined([getattr(chain, name) for chain in chains]) for name in ("weight", "length_px"))
+        count = len(weight)
+        on_image = length_px[camera.contains(np.moveaxis(middle_px, 0, -1))]
+        usual_px, longest_px = (on_image.mean(), np.quantile(on_image, 0.95)) if on_image.size else (1.0, 1.0)
+        group = max(-(-count // _MOST_LINES), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
+        if group <= 1:
+            parts = max(1, min(ceil(longest_px / (_LONG_SIGMA * sigma_px)), _MOST_LINES // count))
+            along = np.tile((np.arange(parts) + 0.5) / parts - 0.5, count)[:, np.newaxis]
+            middle_px, step_px, weight = (np.repeat(each, parts, axis=-2) for each in (middle_px, step_px, weight))
+            return cls(middle_px + along * step_px, step_px / parts, weight / parts, parts=parts)
+        # Groups of the lines of one chain: to the next one is a gap.
+        first = np.concatenate([np.arange(*ends, group) for ends in pairwise(np.cumsum([0, *map(len, chains)]))])
+        light, steps = np.maximum(weight, 1e-12), _grouped(step_px, first)
+        total = _grouped(light, first)
+        middles = _grouped(light * middle_px, first) / total
         spread_px2 = np.stack(
             [
-                _grouped(step_px[i] * step_px[j] / 12 + middle_px[i] * middle_px[j], mean=True)
+                _grouped(light * (step_px[i] * step_px[j] / 12 + middle_px[i] * middle_px[j]), first) / total
                 - middles[i] * middles[j]
                 for i, j in ((0, 0), (0, 1), (1, 1))
             ]
         )
-        return cls(middles, steps, _grouped(weight), is_whole, spread_px2)
+        return cls(middles, steps, _grouped(weight, first), spread_px2, first)
+
+    def means(self, values: Float) -> Float:
+        """Return the means of values of the lines of the chains, (..., n, m)."""
+        return np.repeat(values if self.first is None else _grouped(values, self.first, mean=True), self.parts, axis=-2)
 
 
 def _joined(values: list[Float]) -> Float:
@@ -120,19 +144,10 @@ def _joined(values: list[Float]) -> Float:
     return values[0] if len(values) == 1 else np.concatenate(values, axis=-2)
 
 
-def _grouped(values: Float, *, mean: bool = False) -> Float:
-    """Return the sums or means of groups of consecutive lines, (..., k, m) of (..., n, m), that are not too many."""
-    count = values.shape[-2]
-    size = -(-count // _MOST_LINES)
-    if size == 1:
-        return values
-    whole = count - count % size
-    sums = values[..., :whole, :].reshape(*values.shape[:-2], count // size, size, values.shape[-1]).sum(axis=-2)
-    sizes = np.full(sums.shape[-2], size)
-    if whole < count:
-        sums = np.concatenate([sums, values[..., whole:, :].sum(axis=-2, keepdims=True)], axis=-2)
-        sizes = np.append(sizes, count - whole)
-    return np.asarray(sums / sizes[:, np.newaxis] if mean else sums)
+def _grouped(values: Float, first: NDArray[np.intp], *, mean: bool = False) -> Float:
+    """Return the sums or means of groups of consecutive lines, (..., k, m) of (..., n, m), given their first lines."""
+    sums = np.add.reduceat(values, first, axis=-2)
+    return sums / np.diff(first, append=values.shape[-2])[:, np.newaxis] if mean else np.asarray(sums)
 
 
 def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -> Float:
@@ -149,106 +164,142 @@ def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -
     return np.asarray((near @ passing) / near.sum(axis=1)[:, np.newaxis])
 
 
-def _candidates(lines: _Lines, signals: Float) -> tuple[Float, Float]:
-    """Return the middles of the lines with the largest signals, and their steps, (k, m, 2) px both."""
-    stars, chosen = np.arange(signals.shape[1]), []
-    for _ in range(min(_CANDIDATES, len(signals))):
+def _candidates(lines: _Lines, signals: Float, separation_px: float) -> tuple[Float, Float]:
+    """Return the middles of the lines with the largest signals, and their steps, (k, m, 2) px both.
+
+    They are separate; those that promise little are infinitely far away.
+    """
+    stars = np.arange(signals.shape[1])
+    chosen: list[tuple[Float, Float]] = []
+    largest = signals.max(axis=0)
+    for _ in range(_CANDIDATES):
         best = signals.argmax(axis=0)
-        chosen.append(best)
-        signals[best, stars] = -np.inf
-    middle_px, step_px = (
-        np.stack([each[:, best, stars].T for best in chosen]) for each in (lines.middle_px, lines.step_px)
-    )
-    return middle_px, step_px
+        middle_px, step_px = (each[:, best, stars].T for each in (lines.middle_px, lines.step_px))
+        is_promising = signals[best, stars] > _PROMISING * largest if chosen else np.ones(len(stars), np.bool_)
+        if not is_promising.any():
+            break
+        chosen.append((np.where(is_promising[:, np.newaxis], middle_px, _FAR_PX), step_px))
+        near = np.square(lines.middle_px - middle_px.T[:, np.newaxis]).sum(axis=0) < separation_px * separation_px
+        signals[near] = -np.inf
+    middles_px, steps_px = zip(*chosen, strict=True)
+    return np.stack(middles_px), np.stack(steps_px)
 
 
-def _interpolated(scene: Scene, direction_eq: Float, lines: _Lines) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the signal at the middle of each line, and that of stars sqrt(2) times as wide, (n, m) 1/px^2."""
-    sigma_px, camera = scene.sensor.effective_sigma_px, scene.camera
-    columns, rows = _grid_size(len(lines.weight))
-    if len(direction_eq) <= columns * rows:
-        return _signals_and_overlaps(lines, sigma_px)
-    at_px = np.nan_to_num(camera.project(scene.shutter[1:2].to_camera(direction_eq, below_horizon=True))[0]).T
-    size_px = np.array([camera.width_px, camera.height_px])
-    low_px, high_px = at_px.min(axis=1).clip(-size_px, 0), at_px.max(axis=1).clip(size_px, 2 * size_px)
-    x_px, y_px = (np.linspace(low_px[k], high_px[k], count) for k, count in enumerate((columns, rows)))
-    example_px = np.stack(np.meshgrid(x_px, y_px), axis=-1).reshape(-1, 2)
-    examples = _Lines.of(list(_chains_through(scene, example_px)))
-    near = _bilinear(at_px, x_px, y_px) * examples.is_whole[:, np.newaxis]
-    near = near / np.maximum(near.sum(axis=0), 1e-6)
-    signals, overlaps = _signals_and_overlaps(examples, sigma_px)
-    # In double precision: the rounding of a product depends on how many threads OpenBLAS has, and truth must not.
-    return signals.astype(np.float64) @ near, overlaps.astype(np.float64) @ near
-
-
-def _chains_through(scene: Scene, xy_px: Float) -> Iterator[LineChain]:
-    """Yield the chains of directions that are at some positions in the middle of the exposure, (k, 2) px."""
-    in_camera = scene.camera.unit_vectors(xy_px)
-    in_camera = np.where(np.isnan(in_camera), np.array([0.0, 0.0, -1.0]), in_camera)  # behind it
-    return line_chains(scene, in_camera @ scene.shutter.C_camera_eq[1])
-
-
-def _grid_size(count: int) -> tuple[int, int]:
-    """Return the numbers of example directions across and down for paths of `count` lines."""
-    scale = min(1.0, sqrt(_MOST_PAIRS / (_GRID[0] * _GRID[1] * count * count)))
-    columns, rows = (max(int(most * scale), least) for most, least in zip(_GRID, _SMALLEST_GRID, strict=True))
-    return columns, rows
-
-
-def _bilinear(xy_px: Float, x_px: Float, y_px: Float) -> Float:
-    """Return the weights of the nodes of a grid at positions, (nodes, m), row by row; clamped at its border."""
-    hats = []
-    for at_px, nodes_px in zip(xy_px, (x_px, y_px), strict=True):
-        steps = (at_px.clip(nodes_px[0], nodes_px[-1]) - nodes_px[:, np.newaxis]) / (nodes_px[1] - nodes_px[0])
-        hats.append((1 - np.abs(steps)).clip(0.0))
-    return np.asarray((hats[1][:, np.newaxis] * hats[0]).reshape(-1, xy_px.shape[1]))
-
-
-def _signals_and_overlaps(lines: _Lines, sigma_px: float) -> tuple[Float32, Float32]:
+def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.bool_]) -> tuple[Float32, Float32]:
     """Return the signals of stars and of stars sqrt(2) times as wide at the middles of all lines, (n, m) 1/px^2.
+
+    `on_image` (n, m): of which lines they are needed; of others they may be too small.
 
     A line is exact in its own middle, and a Gaussian elsewhere: of its variance for the wide stars, together within
     3 %, and for the others of that which makes their signal the square of the wide one.  Groups of lines are Gaussians
     of twice their variance, because the mean over another group that is alike is sought, not the signal at its middle.
     """
-    from_start_px = lines.middle_px - lines.middle_px[:, :1]  # single precision begins here
-    in_sigma = (px.T / (sqrt(2) * sigma_px) for px in (*from_start_px, *lines.step_px))
-    x, y, step_x, step_y, weight = (np.ascontiguousarray(each, np.float32) for each in (*in_sigma, lines.weight.T))
-    length2 = step_x * step_x + step_y * step_y
-    if lines.spread_px2 is None:
-        xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
-        determinant = 1 + length2 / 12
-    else:
-        xx, xy, yy = np.ascontiguousarray(lines.spread_px2.swapaxes(1, 2) / sigma_px**2, np.float32)
-        determinant = (1 + xx) * (1 + yy) - xy * xy
-    # The exponent is a x^2 + b x y + c y^2.
-    a, b, c = -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant
-    wide, narrow = np.empty_like(weight), np.empty_like(weight)
-    height = weight / np.sqrt(determinant)
-    per_block = max(1, _BLOCK // x.shape[1] ** 2)
-    for first in range(0, len(x), per_block):
-        block = slice(first, first + per_block)
-        dx, dy = (axis[block, :, np.newaxis] - axis[block, np.newaxis] for axis in (x, y))
-        exponent = a[block, np.newaxis] * dx
-        exponent += b[block, np.newaxis] * dy
-        exponent *= dx
-        dy *= dy
-        dy *= c[block, np.newaxis]
-        exponent += dy
-        # Rounding may exceed 0 beside very long lines.
-        np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
-        np.exp(exponent, out=exponent)
-        # Without OpenBLAS, for the same reason.
-        np.einsum("kij,kj->ki", exponent, height[block], out=wide[block])
-        exponent *= exponent
-        np.einsum("kij,kj->ki", exponent, height[block], out=narrow[block])
+    blocks = _Blocks.of(lines, sigma_px, on_image)
+    wide, narrow = blocks.sums()
+    length2 = np.square(lines.step_px / (sqrt(2) * sigma_px)).sum(axis=0).astype(np.float32)
+    own = lines.weight / np.sqrt(blocks.determinant)
     length = np.sqrt(np.maximum(length2, 1e-6))
-    for each, scale in ((wide, 1.0), (narrow, sqrt(2))):
+    for signal, scale in ((wide, 1.0), (narrow, sqrt(2))):
         at = scale * length
         if lines.spread_px2 is None:
-            each[...] += weight * (sqrt(2 * np.pi) * (2 * normal_cumulative(at / 2) - 1) / at) - height
-        each[...] *= scale * scale / (4 * np.pi * sigma_px * sigma_px)
-    return narrow.T, wide.T
+            signal[...] += lines.weight * (sqrt(2 * np.pi) * (2 * normal_cumulative(at / 2) - 1) / at) - own
+        signal[...] *= scale * scale / (4 * np.pi * sigma_px * sigma_px)
+    return narrow, wide
+
+
+class _Blocks(NamedTuple):
+    """Blocks of consecutive lines of stars, as Gaussians: k blocks of some lines each; lengths in sqrt(2) sigma."""
+
+    at: Float32  # (k, 2, size) middles
+    # (k, 4, size) coefficients of x^2, x y and y^2 in the exponents, and the heights
+    gaussians: Float32
+    bounds: tuple[Float32, Float32]  # (2, m, blocks) smallest and largest x and y
+    is_needed: NDArray[np.bool_]  # (m, blocks)
+    determinant: Float32  # (n, m)
+
+    @classmethod
+    def of(cls, lines: _Lines, sigma_px: float, on_image: NDArray[np.bool_]) -> Self:
+        """Return the blocks of lines."""
+        from_start_px = lines.middle_px - lines.middle_px[:, :1]  # single precision begins here
+        (x, y), (step_x, step_y) = (
+            (px / (sqrt(2) * sigma_px)).astype(np.float32) for px in (from_start_px, lines.step_px)
+        )
+        if lines.spread_px2 is None:
+            xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
+            determinant = 1 + xx + yy
+        else:
+            xx, xy, yy = lines.spread_px2 / sigma_px**2
+            determinant = np.maximum((1 + xx) * (1 + yy) - xy * xy, 1.0).astype(np.float32)
+            xx, xy, yy = (each.astype(np.float32) for each in (xx, xy, yy))
+        height = lines.weight.astype(np.float32) / np.sqrt(determinant)
+        size = len(x) if len(x) <= 4 * _BLOCK_LINES else _BLOCK_LINES
+        half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0))
+        low, high = (_in_blocks(each, size) for each in (np.stack([x, y]) - half, np.stack([x, y]) + half))
+        a, b, c = -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant
+        at = np.stack([_in_blocks(each, size) for each in (x, y)], axis=2).reshape(-1, 2, size)
+        padded = [_in_blocks(each, size, repeat=each is not height) for each in (a, b, c, height)]
+        gaussians = np.stack(padded, axis=2).reshape(-1, 4, size)
+        is_needed = np.asarray(_in_blocks(on_image, size).any(axis=-1))
+        return cls(at, gaussians, (low.min(axis=-1), high.max(axis=-1)), is_needed, determinant)
+
+    def sums(self) -> tuple[Float32, Float32]:
+        """Return the sums of Gaussians, and of their squares over their heights, at each middle, (n, m) both."""
+        stars, count = self.is_needed.shape
+        size = self.at.shape[2]
+        both, at_once = np.zeros((len(self.at), 2, size), np.float32), max(1, _PAIRS // size**2)
+        for target, source in self._near(max(1, 8 * _PAIRS // count**2)):
+            for first in range(0, len(target), at_once):
+                to, of = target[first : first + at_once], source[first : first + at_once]
+                # The pairs of blocks are the last axis: loops over a few lines are slow.
+                (to_x, to_y), (of_x, of_y), (a, b, c, height) = (
+                    np.ascontiguousarray(np.moveaxis(each.take(blocks, axis=0), 0, -1))
+                    for each, blocks in ((self.at, to), (self.at, of), (self.gaussians, of))
+                )
+                dx, dy = to_x[:, np.newaxis] - of_x, to_y[:, np.newaxis] - of_y
+                exponent = a * dx
+                exponent += b * dy
+                exponent *= dx
+                dy *= dy
+                dy *= c
+                exponent += dy
+                # Rounding may exceed 0 beside very long lines.
+                np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
+                np.exp(exponent, out=exponent)
+                sums = np.empty((2, size, len(to)), np.float32)
+                for total in sums:
+                    # Without OpenBLAS, whose rounding depends on how many threads it has.
+                    np.multiply(exponent, height, out=dx).sum(axis=1, out=total)
+                    exponent *= exponent
+                begins = np.flatnonzero(np.diff(to, prepend=-1))
+                both[to[begins]] += np.add.reduceat(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), begins, axis=0)
+        lines = len(self.determinant)
+        wide, narrow = (np.ascontiguousarray(both[:, kind].reshape(stars, -1)[:, :lines].T) for kind in (0, 1))
+        return wide, narrow
+
+    def _near(self, stars_at_once: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Yield the rows of blocks that need light, and those of blocks near them, (p,) both, some stars at a time."""
+        count = self.is_needed.shape[1]
+        for first in range(0, len(self.is_needed), stars_at_once):
+            stars = slice(first, first + stars_at_once)
+            is_near = np.repeat(self.is_needed[stars, :, np.newaxis], count, axis=2)
+            for low, high in zip(*(bound[:, stars] for bound in self.bounds), strict=True):
+                is_reached = low[:, :, np.newaxis] < high[:, np.newaxis] + np.float32(_FAR_SIGMA / sqrt(2))
+                is_near &= is_reached
+                is_near &= is_reached.swapaxes(1, 2)
+            star, target, source = is_near.nonzero()
+            star += first
+            star *= count
+            yield star + target, star + source
+
+
+def _in_blocks(values: NDArray[Any], size: int, *, repeat: bool = True) -> NDArray[Any]:
+    """Return values of lines, (..., n, m), by star and by block, (..., m, blocks, size); a last block is filled."""
+    values = np.moveaxis(values, -2, -1)
+    missing = -values.shape[-1] % size
+    if missing:
+        rest = np.repeat(values[..., -1:], missing, axis=-1) if repeat else np.zeros((*values.shape[:-1], missing))
+        values = np.concatenate([values, rest.astype(values.dtype)], axis=-1)
+    return np.ascontiguousarray(values).reshape(*values.shape[:-1], -1, size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +335,7 @@ def trail_peaks(
     """
     chains = list(line_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)
-    points = brightest_points(scene, direction_eq, chains, transmissions)
+    points = brightest_points(scene.camera, scene.sensor.effective_sigma_px, chains, transmissions)
     scales = psf_scale(scene, direction_eq, bv)
     profiles = list(_profiles(scene.sensor, scales))
     peak = _largest_signal(scene, points, chains, transmissions, profiles)
@@ -296,10 +347,10 @@ def trail_peaks(
     return TrailPeaks(peak, _area_over_core(scene.sensor, scales, dimmed) * area_px2)
 
 
-# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; and then on
-# both sides of the best point.
+# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; and then how
+# far around the best point, sigma.
 _ALONG = (0.0, -0.25, 0.25, -0.5, 0.5)
-_NEARER = (1 / 8, 1 / 16, 1 / 32)
+_AROUND_SIGMA = (0.6, 0.3)
 
 
 class _Part(NamedTuple):
@@ -310,23 +361,12 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def around(self, middle_px: Float, half_px: Float) -> list[NearLines]:
-        """Return for each Gaussian the lines that matter along any of k lines of each star, (k, m, 2) and (k, m) px."""
-        middle_px, half_px = middle_px[:, self.stars], half_px[:, self.stars]
-        centre_px = (middle_px.min(axis=0) + middle_px.max(axis=0)) / 2
-        # The search goes on from a point of one of the lines, by less than half of it.
-        reach_px = (np.linalg.norm(middle_px - centre_px, axis=-1) + 2 * half_px).max(axis=0)
+    def near(self, point_px: Float, reach_px: Float) -> list[SignalOfLines]:
+        """Return for each Gaussian the lines that matter near a point of each star of the scene, (m, 2) and (m,) px."""
+        point_px, reach_px = point_px[self.stars], reach_px[self.stars]
         return [
-            NearLines.of(self.chain, centre_px - offset_px, reach_px, sigma_px, self.transmission)
+            NearLines.of(self.chain, point_px - offset_px, reach_px, sigma_px, self.transmission).signal
             for _, sigma_px, offset_px in self.gaussians
-        ]
-
-    def near(self, around: list[NearLines], middle_px: Float, half_px: Float) -> list[SignalOfLines]:
-        """Return those of lines that matter along a line of each star of the scene, (m, 2) and (m,) px."""
-        middle_px, half_px = middle_px[self.stars], half_px[self.stars]
-        return [
-            lines.nearer(middle_px - offset_px, half_px)
-            for lines, (_, _, offset_px) in zip(around, self.gaussians, strict=True)
         ]
 
     def signal_at(self, point_px: Float, near: list[SignalOfLines]) -> Float:
@@ -341,26 +381,54 @@ class _Part(NamedTuple):
 class _Search:
     """The largest signals on the image that have been found, and where."""
 
-    def __init__(self, camera: Camera, parts: Sequence[_Part], points: BrightestPoints) -> None:
-        count = points.point_px.shape[1]
-        self.largest = np.zeros(count)
-        self.point_px, self.step_px = np.zeros((count, 2)), np.zeros((count, 2))
+    def __init__(self, camera: Camera, sigma_px: float, parts: Sequence[_Part], count: int) -> None:
+        self.largest, self.point_px = np.zeros(count), np.zeros((count, 2))
         self._last_px = np.array([camera.width_px, camera.height_px]) - 0.5
-        half_px = np.linalg.norm(points.step_px, axis=-1) / 2
-        self._parts = [(part, part.around(points.point_px, half_px)) for part in parts]
+        self._parts, self._sigma_px = parts, sigma_px
 
-    def along(self, middle_px: Float, step_px: Float, places: Sequence[float]) -> None:
-        """Evaluate the signal at places along a line of each star, from its middle, (m, 2) px, parts of its step."""
-        half_px = np.linalg.norm(step_px, axis=1) / 2
-        near = [(part, part.near(around, middle_px, half_px)) for part, around in self._parts]
-        for place in places:
-            point_px, signal = (middle_px + place * step_px).clip(-0.5, self._last_px), np.zeros(len(middle_px))
-            for part, lines in near:
-                signal[part.stars] += part.signal_at(point_px, lines)
-            is_larger = signal > self.largest
-            np.copyto(self.largest, signal, where=is_larger)
-            np.copyto(self.point_px, point_px, where=is_larger[:, np.newaxis])
-            np.copyto(self.step_px, step_px, where=is_larger[:, np.newaxis])
+    def along(self, middle_px: Float, step_px: Float) -> None:
+        """Evaluate the signal along a line of each star, given its middle, (m, 2) px, and its step."""
+        near = self._near(middle_px, np.linalg.norm(step_px, axis=1) / 2)
+        for place in _ALONG:
+            self._signal_at(middle_px + place * step_px, near)
+
+    def around(self) -> None:
+        """Evaluate the signal around the best points: a paraboloid through its logarithms has its peak elsewhere."""
+        near = self._near(self.point_px, np.full(len(self.largest), 3 * _AROUND_SIGMA[0] * self._sigma_px))
+        for step_sigma in _AROUND_SIGMA:
+            step_px, at_px = step_sigma * self._sigma_px, self.point_px.copy()
+
+            def log_at(x: float, y: float, step_px: float = step_px, at_px: Float = at_px) -> Float:
+                signal = self._signal_at(at_px + step_px * np.array([x, y]), near)
+                return np.asarray(np.log(np.maximum(signal, 1e-30)))
+
+            middle, left, right, above, below, beside = (
+                log_at(*to) for to in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (1, 1))
+            )
+            slope = np.stack([right - left, below - above], axis=-1) / 2
+            xx, yy, xy = left + right - 2 * middle, above + below - 2 * middle, beside - right - below + middle
+            determinant = xx * yy - xy * xy
+            is_peak = (xx < 0) & (determinant > 1e-9)
+            towards = np.stack([xy * slope[:, 1] - yy * slope[:, 0], xy * slope[:, 0] - xx * slope[:, 1]], axis=-1)
+            towards = np.where(
+                is_peak[:, np.newaxis], towards / np.where(is_peak, determinant, 1.0)[:, np.newaxis], slope
+            )
+            length = np.linalg.norm(towards, axis=-1, keepdims=True)
+            self._signal_at(at_px + step_px * towards * np.minimum(1.0, 2.0 / np.maximum(length, 1e-9)), near)
+
+    def _near(self, point_px: Float, reach_px: Float) -> list[list[SignalOfLines]]:
+        return [part.near(point_px, reach_px) for part in self._parts]
+
+    def _signal_at(self, point_px: Float, near: list[list[SignalOfLines]]) -> Float:
+        """Return the signal at a point of each star, (m, 2) px, or the nearest one of the image; keep the largest."""
+        point_px = point_px.clip(-0.5, self._last_px)
+        signal = np.zeros(len(point_px))
+        for part, lines in zip(self._parts, near, strict=True):
+            signal[part.stars] += part.signal_at(point_px, lines)
+        is_larger = signal > self.largest
+        np.copyto(self.largest, signal, where=is_larger)
+        np.copyto(self.point_px, point_px, where=is_larger[:, np.newaxis])
+        return signal
 
 
 def _largest_signal(
@@ -376,12 +444,13 @@ def _largest_signal(
         for chain, transmission in zip(chains, transmissions, strict=True)
         for stars, gaussians in profiles
     ]
-    search = _Search(scene.camera, parts, points)
+    largest = np.zeros(points.point_px.shape[1])
     for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
-        search.along(middle_px, step_px, _ALONG)
-    for place in _NEARER:
-        search.along(search.point_px.copy(), search.step_px.copy(), (-place, place))
-    return search.largest
+        search = _Search(scene.camera, scene.sensor.effective_sigma_px, parts, len(largest))
+        search.along(middle_px, step_px)
+        search.around()
+        np.maximum(largest, search.largest, out=largest)
+    return largest
 
 
 def _profiles(sensor: Sensor, scales: Float) -> Iterator[tuple[Stars, list[tuple[float, float, Float]]]]:
