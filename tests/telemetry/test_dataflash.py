@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pymavlink.DFReader import DFReader_binary
+from pymavlink.DFReader import FORMAT_TO_STRUCT, DFReader_binary
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import DataFlashReader, LogFacts, RateSamples, TelemetrySource, open_flight
-from glstar.telemetry.dataflash.records import BinaryRecords
+from glstar.telemetry.dataflash.records import _DIVISORS, _TYPES, BinaryRecords
 from tests.support.dataflash import BOOT_S, ELEVEN_S, HOME, WEEK, Log, TextLog, angle_deg, beginning, times
 
 CHECKOUT = Path(__file__).parents[2]
@@ -739,7 +739,7 @@ def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, leve
     path.unlink()
 
 
-def test_importing_telemetry_imports_no_pymavlink_and_reading_leaves_the_environment_alone() -> None:
+def test_reading_a_log_imports_no_pymavlink_and_leaves_the_environment_alone() -> None:
     program = f"""
 import os, sys
 import glstar.telemetry
@@ -747,10 +747,19 @@ heavy = [name for name in ("pymavlink", "moderngl", "cv2") if name in sys.module
 assert not heavy, heavy
 before = dict(os.environ)
 glstar.telemetry.open_flight({str(DEMO)!r})
-assert "pymavlink.DFReader" in sys.modules
+assert "pymavlink" not in sys.modules
 assert dict(os.environ) == before
 """
     clean = {key: value for key, value in os.environ.items() if not key.startswith("MAVLINK")}
     done = subprocess.run([sys.executable, "-c", program], env=clean, capture_output=True, text=True, check=False)
 
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_the_letters_of_layouts_are_those_of_pymavlink() -> None:
+    types = {letter: np.dtype(code) for letter, code in _TYPES.items()}
+
+    assert types.keys() == FORMAT_TO_STRUCT.keys()
+    for letter, (code, factor, _) in FORMAT_TO_STRUCT.items():
+        expected = np.dtype(f"S{code[:-1]}" if code.endswith("s") else f"<{code}")
+        assert (types[letter], _DIVISORS.get(letter)) == (expected, factor and round(1 / factor))

@@ -1,17 +1,14 @@
 """The records of a DataFlash log as columns, one array a field.
 
 A binary log is a sequence of records, each ``A3 95 type`` and a body whose layout is defined by a FMT record of the
-same file.  pymavlink's `DFFormat` translates the layouts; NumPy locates the records, so that nothing depends on private
-tables of pymavlink, and large logs are read fast.  The tests compare every column with pymavlink's reader on real logs.
+same file.  NumPy locates the records, so that large logs are read fast.  pymavlink takes a quarter of a second to
+import and is not used; the tests compare the letters of layouts, and every column of real logs, with it.
 """
 
-import io
-import re
 import struct
 from abc import abstractmethod
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,7 +20,7 @@ from numpy.typing import NDArray
 from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
-from glstar.telemetry.source import Span, suppressed_output
+from glstar.telemetry.source import Span
 
 DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
@@ -31,6 +28,23 @@ DATAFLASH_MAGIC = b"\xa3\x95\x80"
 _HEAD1, _HEAD2, _FMT = DATAFLASH_MAGIC
 _FMT_LAYOUT = struct.Struct("<BB4s16s64s")  # type, length, name, layout, columns
 _HEAD_BYTES = 3
+# The types of fields by their letters in a layout, as NumPy names them.
+_TYPES = {
+    **{letter: f"<{letter}" for letter in "bBhHiIfdqQ"},
+    "g": "<e",
+    "c": "<h",
+    "C": "<H",
+    "e": "<i",
+    "E": "<I",
+    "L": "<i",
+    "M": "<b",
+    "n": "S4",
+    "N": "S16",
+    "Z": "S64",
+    "a": "S64",
+}
+# What whole numbers of scaled fields are divided by: correctly rounded, as a product with 1e-7 is not.
+_DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 # The first record of a log file: the FMT record of FMT, 89 bytes long.
 _LOG_HEAD = DATAFLASH_MAGIC + b"\x80\x59FMT\0"
 # A log is searched in pieces of this size, to bound the memory.
@@ -353,34 +367,17 @@ class _Layout:
     @classmethod
     def of(cls, body: bytes) -> "_Layout | None":
         """Return the layout of a FMT record; None if it is invalid."""
-        kind, length, *texts = _FMT_LAYOUT.unpack(body)
-        read = _dataflash_format()
+        _, length, *texts = _FMT_LAYOUT.unpack(body)
         try:
             name, letters, fields = (text.split(b"\0")[0].decode("ascii") for text in texts)
-            form = read(kind, name, length, letters, fields)
-        except Exception:  # pymavlink raises no less: a damaged definition, and what it defines is unknown
+        except UnicodeDecodeError:
             return None
-        # struct says 16s and B where NumPy says S16 and <B.
-        codes = [f"S{size}" if size else f"<{code}" for size, code in re.findall(r"(\d*)(\w)", form.msg_struct[1:])]
-        if len(codes) != len(form.columns) or len(set(form.columns)) != len(codes) or "" in form.columns:
+        columns = fields.split(",") if fields else []
+        codes = [_TYPES[letter] for letter in letters if letter in _TYPES]
+        if not len(codes) == len(letters) == len(columns) == len(set(columns)) or "" in columns:
             return None
-        dtype = np.dtype(list(zip(form.columns, codes, strict=True)))
+        dtype = np.dtype(list(zip(columns, codes, strict=True)))
         if not name.isalnum() or dtype.itemsize + _HEAD_BYTES != length:
             return None
-        # Divide by 1e7 instead of multiplying by 1e-7: correctly rounded, as in pymavlink.
-        divisors = {c: float(round(1 / m)) for c, m in zip(form.columns, form.msg_mults, strict=True) if m}
+        divisors = {column: _DIVISORS[of] for column, of in zip(columns, letters, strict=True) if of in _DIVISORS}
         return cls(name, length, dtype, divisors)
-
-
-@lru_cache(maxsize=1)
-def _dataflash_format() -> Callable[..., Any]:
-    """Return pymavlink's parser of FMT records, imported on first use."""
-    with suppressed_output():
-        from pymavlink.DFReader import DFFormat  # noqa: PLC0415 - when a binary log is read
-
-    def suppressed(*fields: Any) -> Any:
-        # It prints messages about damaged records.
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            return DFFormat(*fields)
-
-    return suppressed
