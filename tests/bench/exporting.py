@@ -13,9 +13,9 @@ rates       frames per second of `Export.run`: one process (steps overlap on thr
 The start of the workers is not measured, as in an export of more than a minute.
 
 ``--against REV`` compares with another revision instead, checked out into a folder of its own: the glstar of either
-draws the same frames in turns, and both draw each frame.  Of each step it prints the processor time of both and their
-ratio, for the flights and for steps of `glstar.Environment` (``environment``), and of the start of ``glstar export``
-until its first frame is written.
+draws the same frames in turns, spread evenly over each flight, and both draw each frame.  Of each step it prints the
+processor time of both and their ratio, for the flights and for steps of `glstar.Environment` (``environment``), and of
+the start of ``glstar export`` until its first frame is written.
 """
 
 import argparse
@@ -40,7 +40,6 @@ from rich.table import Table
 
 from glstar import __version__
 from glstar.config import Config
-from glstar.export.environment import Environment
 from glstar.export.imagefiles.formats import encode
 from glstar.export.plan.frames import ExportOptions
 from glstar.export.run.executors import Executor, SerialExecutor
@@ -55,8 +54,9 @@ from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
+from tests.bench.framesteps import ENVIRONMENT
 from tests.bench.realflights import REAL_FLIGHTS, add_logs_option, logs_of, missing_logs
-from tests.bench.revisions import HERE, Turns, checked_out, serve
+from tests.bench.revisions import HERE, Turns, checked_out
 
 EVERY_S = 0.5
 
@@ -70,13 +70,8 @@ def main() -> None:
     arguments.add_argument("--workers", type=int, nargs="*", default=[1, os.cpu_count() or 1])
     arguments.add_argument("--dask", type=int, nargs="*", default=[])
     arguments.add_argument("--against", metavar="REV", help="compare with another revision, or the folder of one")
-    arguments.add_argument("--serve", choices=[*names, ENVIRONMENT], help=argparse.SUPPRESS)
     add_logs_option(arguments)
     asked = arguments.parse_args()
-    if asked.serve:
-        with _steps(asked.serve, asked) as step:
-            serve(step)
-        return
     console = Console(width=120)
     console.print(
         f"glstar {__version__}, Python {platform.python_version()}, {os.cpu_count()} processors,"
@@ -200,51 +195,21 @@ class _Frame:
         return times
 
 
-# `Environment.step` with exposures of 0.05 s on an orbit.
-ENVIRONMENT = "environment"
-
-
-@contextmanager
-def _steps(name: str, asked: argparse.Namespace) -> Iterator[Callable[[int], dict[str, float]]]:
-    """Yield what does a step of a flight or of `glstar.Environment` and returns its processor times, ms."""
-    settings = Config().override(**{"camera.preset": asked.preset})
-    if name == ENVIRONMENT:
-        short = settings.override(**{"exposure.duration_s": 0.05, "exposure.interval_s": 0.1})
-        with Environment(short, flight="fly:orbit?radius_m=150&turns=5") as environment:
-
-            def fly(number: int) -> dict[str, float]:
-                began_s = time.process_time()
-                environment.step() if number else environment.reset(1)
-                return {"step": 1e3 * (time.process_time() - began_s), **_memory()}
-
-            yield fly
-        return
-    with TemporaryDirectory() as folder, GLRenderer.headless() as renderer:
-        export = _job(name, Path(folder), asked)
-        step = _Frame(export, renderer)
-        numbers = export.numbers.tolist()
-        yield lambda number: step(numbers[number % len(numbers)]) | _memory()
-
-
-def _memory() -> dict[str, float]:
-    return {"peak memory, MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
-
-
 def _compare(flights: list[str], asked: argparse.Namespace, trees: dict[str, Path], console: Console) -> None:
     """Print the processor time of each step with the glstar of two checkouts, in turns."""
     ours, theirs = trees
     table = Table("what", "step", theirs, ours, "ratio", title="processor time, ms, the mean of all frames")
     for name in [*flights, ENVIRONMENT]:
         logs = [] if asked.logs is None else ["--logs", str(asked.logs)]
-        options = ["--serve", name, "--frames", str(asked.frames), "--preset", asked.preset, *logs]
-        with Turns(trees, "tests.bench.exporting", *options) as turns:
+        options = [name, "--frames", str(asked.frames), "--preset", asked.preset, *logs]
+        with Turns(trees, "tests.bench.framesteps", *options) as turns:
             taken = [turns.take(step) for step in range(asked.frames)]
         for step in taken[-1][ours]:
             pair = [statistics.fmean(turn[tree][step] for turn in taken[1:]) for tree in (theirs, ours)]
             _add_ratio(table, name, step, *pair)
         totals = [
             [statistics.fmean(sum(turn[tree].get(step, 0.0) for step in of) for turn in taken[1:]) for tree in trees]
-            for of in (["scene", "truth"], ["scene", "draw", "read", "truth", "PNG", "write"])
+            for of in (["scene", "truth"], ["scene", "draw", "read", "truth", "PNG"])
         ]
         if name != ENVIRONMENT:
             for label, (our_ms, their_ms) in zip(("scene and truth", "all"), totals, strict=True):
@@ -265,7 +230,17 @@ def _start_ms(tree: Path) -> float:
     with TemporaryDirectory() as folder:
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run(
-            [sys.executable, "-m", "glstar", "export", "demo", "-o", f"{folder}/frames", "--frames", "1"],
+            [
+                sys.executable,
+                "-m",
+                "glstar",
+                "export",
+                str(asset("adelaide.BIN")),
+                "-o",
+                f"{folder}/frames",
+                "--frames",
+                "1",
+            ],
             env={**_without_choice_of_bytecode(), "PYTHONPATH": str(tree)},
             cwd=folder,
             check=True,

@@ -4,6 +4,7 @@ A child runs a module of this checkout's tests with the glstar of either: both a
 """
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -57,7 +58,12 @@ class Turns:
     def __init__(self, trees: Mapping[str, Path], module: str, *arguments: str) -> None:
         self._children = {
             name: subprocess.Popen(
-                command(tree, module, *arguments), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+                command(tree, module, *arguments),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                # As the command line sets it: waiting threads of OpenBLAS take processor time.
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
             for name, tree in trees.items()
         }
