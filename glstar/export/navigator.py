@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 import orjson
@@ -27,11 +27,13 @@ from glstar.export.imagefiles.formats import SUFFIX
 from glstar.export.run.export import Export
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.flight.navigator import AttitudeErrors, EstimatedAttitude
-from glstar.link import Estimate
 from glstar.render.truth.frame import camera_keys
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_from_quaternion
 from glstar.sky.place.timescale import format_utc
 from glstar.system.files import publish, temporary_path, write_atomically
+
+if TYPE_CHECKING:
+    from glstar.link import Estimate
 
 NAV_SCHEMA = "glstar-nav-1"
 # On each line, so that a solver's author need not look them up.
@@ -308,7 +310,7 @@ class LiveNavigator:
 
     def record(
         self,
-        estimate: Estimate,
+        estimate: "Estimate",
         exposure: Exposure,
         *,
         number: int,
