@@ -69,7 +69,7 @@ def image_size(content: bytes) -> tuple[int, int] | None:
         for signature, size_of in _SIZES.items():
             if content.startswith(signature):
                 return size_of(content)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, OverflowError):  # an offset of 64 bits may be larger than any file
         pass
     return None
 
@@ -207,7 +207,7 @@ def tiff_directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:
         at = offsets.pop(0)
         if not at:
             continue
-        with suppress(struct.error):
+        with suppress(struct.error, OverflowError):
             (entries,) = struct.unpack_from(f"{order}H", content, at)
             directory: dict[int, tuple[int, ...]] = {}
             for entry in range(at + 2, at + 2 + 12 * entries, 12):

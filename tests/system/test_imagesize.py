@@ -21,7 +21,7 @@ from glstar.camera.sensor.pixelpattern import read_map
 from glstar.cli import app
 from glstar.errors import CalibrationError, ConfigError, ImagesError
 from glstar.images import read_grey
-from glstar.system.imagefiles import encode_png, image_size
+from glstar.system.imagefiles import encode_png, image_size, tiff_directories
 from glstar.system.userinput import FewReads, refuse_many_pixels
 
 HUGE = (32000, 32000)
@@ -83,9 +83,18 @@ def test_the_size_of_any_kind_of_tiff_is_read(tmp_path: Path, byteorder: str, bi
     assert image_size(path.read_bytes()) == (64, 48)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"II*\0", b"BM", b"no image"])
+# The first directory of a BigTIFF, and directories below others, may be said to lie beyond any file.
+BEYOND = b"II+\0\x08\0\0\0" + b"\xff" * 8
+SUB_BEYOND = struct.pack("<2sHIHHHIII", b"II", 42, 8, 1, 330, 16, 1, 26, 0) + b"\xff" * 8
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"II*\0", b"BM", b"no image", BEYOND, SUB_BEYOND],
+)
 def test_a_damaged_header_gives_no_size(content: bytes) -> None:
     assert image_size(content) is None
+    assert all(330 in directory for directory in tiff_directories(content))
 
 
 def test_the_largest_sensors_are_within_the_limit() -> None:
