@@ -116,6 +116,26 @@ def test_the_noise_of_long_exposures_with_gusts_and_vibration_is_that_of_brute_f
     assert np.quantile(np.abs(errors), 0.9) < 0.05
 
 
+@pytest.mark.parametrize(
+    "exposure",
+    [
+        EXPOSURE,
+        replace(EXPOSURE, duration_s=6.0),
+        replace(EXPOSURE, readout_s=0.087),
+        replace(EXPOSURE, frames=3, gap_s=0.02),
+    ],
+)
+def test_an_image_without_stars_has_no_peaks(exposure: Exposure) -> None:
+    """A camera that points at the ground."""
+    scene = shaken(0.3, seed=4).scene(exposure)
+    none_eq = np.zeros((0, 3))
+    recorded = recorded_times(scene, none_eq) if exposure.readout_s else None
+
+    peaks = trail_peaks(scene, none_eq, recorded=recorded)
+
+    assert peaks.peak_fraction_per_px2.shape == peaks.area_px2.shape == (0,)
+
+
 def test_lines_far_beside_the_image_leave_finite_signals() -> None:
     """Near the plane of the camera a star moves by a hundred thousand pixels from one time to the next."""
     rng = np.random.default_rng(3)

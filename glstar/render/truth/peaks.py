@@ -333,6 +333,8 @@ def trail_peaks(
     length L the area 2 sqrt(pi) sigma L.  Areas of other profiles are larger by a factor for stars at rest and another
     for long trails, between which it is interpolated.
     """
+    if not len(direction_eq):
+        return TrailPeaks(np.zeros(0), np.zeros(0))
     chains = list(line_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)
     points = brightest_points(scene.camera, scene.sensor.effective_sigma_px, chains, transmissions)
