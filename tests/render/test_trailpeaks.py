@@ -120,9 +120,8 @@ def test_the_noise_of_long_exposures_with_gusts_and_vibration_is_that_of_brute_f
     "exposure",
     [
         EXPOSURE,
-        replace(EXPOSURE, duration_s=6.0),
         replace(EXPOSURE, readout_s=0.087),
-        replace(EXPOSURE, frames=3, gap_s=0.02),
+        replace(EXPOSURE, duration_s=0.15, frames=3, gap_s=0.02),
     ],
 )
 def test_an_image_without_stars_has_no_peaks(exposure: Exposure) -> None:
