@@ -66,7 +66,7 @@ def test_help_of_a_command_is_found_by_any_road(words: tuple[str, ...]) -> None:
 
 
 def test_help_of_an_inner_command_and_of_a_page_and_of_all() -> None:
-    assert "Send an answer of a navigator" in invoke("help", "live", "answer").out
+    assert "Send a navigator's answer" in invoke("help", "live", "answer").out
     assert invoke("help", "mounts").out.startswith("# Mounts\n")
     assert "Simulate long exposures" in own_process("help").stdout
 

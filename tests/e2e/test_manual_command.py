@@ -79,7 +79,8 @@ def test_a_word_is_found_on_all_pages_those_with_a_heading_first(word, first, he
     topics, counts = zip(*re.findall(r"^([\w-]+): (\d+)$", printed, re.MULTILINE), strict=True)
     prose = [re.sub(r"^```.*?^```$", "", manual_pages()[topic].read_text(), flags=re.S | re.M) for topic in topics]
     headed = [bool(re.search(rf"^#+ .*{word}", text, re.IGNORECASE | re.MULTILINE)) for text in prose]
-    pages = list(zip(headed, map(int, counts), strict=True))
+    titled = [bool(re.match(rf"# .*{word}", text, re.IGNORECASE)) for text in prose]
+    pages = list(zip(titled, headed, map(int, counts), strict=True))
     assert topics[0] == first
     assert re.search(rf"^{first}: \d+\n +\d+  {heading}$", printed, re.MULTILINE)
     assert pages == sorted(pages, reverse=True)

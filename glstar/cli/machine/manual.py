@@ -75,7 +75,8 @@ def summary(page_text: str) -> str:
 def _print_lines(words: list[str]) -> None:
     """Print the lines of all pages that have all words; ConfigError if none has.
 
-    Headings come before other lines, and pages with a heading before pages with more lines.
+    Headings come before other lines; pages with the words in their title before pages with other headings, and these
+    before pages with more lines.
     """
     found = {}
     for topic, page in manual_pages().items():
@@ -86,7 +87,7 @@ def _print_lines(words: list[str]) -> None:
     if not found:
         suggestion = f" (did you mean {near}?)" if near else f" (the pages are {', '.join(manual_pages())})"
         raise ConfigError(f"the manual has no page {' '.join(words)!r} and no line with it{suggestion}")
-    for topic, hits in sorted(found.items(), key=lambda item: (item[1][0][0], -len(item[1]))):
+    for topic, hits in sorted(found.items(), key=lambda item: (item[1][0][1] > 1, item[1][0][0], -len(item[1]))):
         typer.echo(f"{topic}: {len(hits)}")
         for _, number, line in hits[:_LINES]:
             typer.echo(f"  {number:4}  {_around(line.strip(), words[0])}")
