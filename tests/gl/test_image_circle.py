@@ -90,11 +90,17 @@ def is_beyond(scene: Scene) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("lens", [FISHEYE, BARREL], ids=["fisheye", "barrel"])
-@pytest.mark.parametrize("vignetting", VIGNETTINGS)
-@pytest.mark.parametrize("sky", BACKGROUNDS)
+@pytest.mark.parametrize(
+    ("sky", "vignetting"),
+    [
+        (sky, vignetting)
+        for sky in BACKGROUNDS
+        for vignetting in VIGNETTINGS
+        # Vignetting acts on the other backgrounds as it does on skyline and cloud.
+        if vignetting == "none" or sky in {"paper", "electrons", "skyline and cloud"}
+    ],
+)
 def test_no_light_is_beyond_the_image_circle(renderer, tmp_path, sky, vignetting, lens):
-    if vignetting != "none" and sky not in {"paper", "electrons", "skyline and cloud"}:
-        pytest.skip("vignetting follows these backgrounds as it follows that with skyline and cloud")
     scene = scene_of(lens | BACKGROUNDS[sky] | VIGNETTINGS[vignetting], tmp_path)
 
     renderer.develop(scene, seed=1, noiseless=True)
