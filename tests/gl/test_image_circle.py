@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
 from glstar.config import Config
 from glstar.export.plan.frames import ExportOptions
 from glstar.export.run.prepare import prepare_export
+from glstar.render.effects.sky import beyond_lens
 from glstar.render.scene.scene import Scene
 from glstar.system.resources import asset
 
@@ -125,3 +128,24 @@ def test_the_sky_has_its_brightness_up_to_the_image_circle(renderer, tmp_path, s
 
     ratio = images[0][~is_beyond(scene)] / images[1][~is_beyond(scene)]
     assert np.mean(np.abs(ratio - 1) < 0.03) > 0.999
+
+
+@pytest.mark.parametrize("focal_px", [100.0, 130.0, 170.0, 189.7, 189.8, 189.9, 300.0])
+@pytest.mark.parametrize("centre_px", [(159.5, 119.5), (20.0, 230.0), (-40.0, 60.0)])
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Lens("plumb_bob", (-0.3, 0.0, 1e-3, -1e-3)),
+        Lens("fisheye", (0.0, 0.0, 0.0, 0.0), max_angle_rad=1.2),
+        Lens("plumb_bob", (0.1, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_the_border_tells_whether_the_lens_shows_all_pixels(focal_px, centre_px, lens):
+    camera = Camera(320, 240, focal_px, focal_px, *centre_px, 0.0, lens)
+    x, y = np.meshgrid(np.arange(320), np.arange(240))
+    unseen = np.isnan(camera.unit_vectors(np.stack([x, y], axis=-1))[..., 0])
+
+    beyond = beyond_lens(camera)
+
+    assert (beyond is None) == (not unseen.any())
+    np.testing.assert_array_equal(np.zeros_like(unseen) if beyond is None else beyond, unseen)

@@ -190,6 +190,14 @@ vec4 flat_falloff(vec4 signal_dn, uvec2 quad) {
 """,
 )
 
+
+def _seen_by_lens(_values: Values, scene: Scene) -> NDArray[np.float32]:
+    """Return 1 at pixels that the lens shows, by quads; the shader reads it only if there are others."""
+    beyond = beyond_lens(scene.camera)
+    assert beyond is not None
+    return quads_of(np.where(beyond, np.float32(0), np.float32(1)))
+
+
 # After all light, measured backgrounds and flare too.
 IMAGE_CIRCLE = Effect(
     name="image_circle",
@@ -199,12 +207,12 @@ IMAGE_CIRCLE = Effect(
     textures=(
         EffectTexture(
             "seen_by_lens",
-            lambda _values, scene: quads_of(np.where(beyond_lens(scene.camera), np.float32(0), np.float32(1))),
+            _seen_by_lens,
             lambda _values, scene: scene.camera,
             per_quad=True,
         ),
     ),
-    options=lambda _values, scene: {"IMAGE_CIRCLE": int(beyond_lens(scene.camera).any())},
+    options=lambda _values, scene: {"IMAGE_CIRCLE": int(beyond_lens(scene.camera) is not None)},
     glsl="""\
 // IMAGE_CIRCLE: 1 if the lens shows nothing at some pixels.
 #if IMAGE_CIRCLE

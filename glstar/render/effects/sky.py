@@ -173,13 +173,22 @@ def node_positions(camera: Camera, grid: tuple[int, int]) -> Float:
 
 
 @lru_cache(maxsize=8)
-def beyond_lens(camera: Camera) -> NDArray[np.bool_]:
-    """Return at which pixels the lens shows nothing, (height, width): those that no direction reaches."""
-    shape = camera.height_px, camera.width_px
+def beyond_lens(camera: Camera) -> NDArray[np.bool_] | None:
+    """Return at which pixels the lens shows nothing, (height, width): those that no direction reaches; None if none.
+
+    A lens shows all within a limit, so that an image whose border it shows has no such pixel.
+    """
     if camera.lens is None:
-        return np.broadcast_to(np.False_, shape)
-    rows = (np.stack([np.arange(shape[1]), np.full(shape[1], row)], axis=-1) for row in range(shape[0]))
-    return np.stack([np.isnan(camera.unit_vectors(row)[:, 0]) for row in rows])
+        return None
+    columns, rows = np.arange(camera.width_px), np.arange(camera.height_px)
+    lines = [(columns, rows[:1]), (columns, rows[-1:]), (columns[:1], rows), (columns[-1:], rows)]
+    if not any(_is_unseen(camera, *line).any() for line in lines):
+        return None
+    return np.stack([_is_unseen(camera, columns, row) for row in rows])
+
+
+def _is_unseen(camera: Camera, columns: NDArray[np.intp], rows: NDArray[np.intp] | np.intp) -> NDArray[np.bool_]:
+    return np.isnan(camera.unit_vectors(np.stack(np.broadcast_arrays(columns, rows), axis=-1))[:, 0])
 
 
 @lru_cache(maxsize=8)
