@@ -348,6 +348,20 @@ class AttitudeTrack:
         last = bisect_left(self.gaps, stop_utc_s, key=lambda gap: gap.start_utc_s)
         return max(self.gaps[first:last], key=lambda gap: gap.duration_s, default=None)
 
+    def covers(self, utc_s: float) -> bool:
+        """Return whether there is an attitude at a time: between the first and the last sample, and in no gap.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC, seconds since 1970.
+
+        Returns
+        -------
+        bool
+        """
+        return bool(self.first_s <= utc_s <= self.last_s) and self.gap_within(utc_s, utc_s) is None
+
     def shifted(self, shift_s: float) -> Self:
         """Return the track with all times shifted.
 

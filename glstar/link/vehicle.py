@@ -209,7 +209,7 @@ class Vehicle:
         gimbal, platform, utc_s = self._flight.gimbal, self._gimbal, self._utc_s(boot_ms)
         assert gimbal is not None
         assert platform is not None
-        if not platform.first_s <= utc_s <= platform.last_s or platform.gap_within(utc_s, utc_s) is not None:
+        if not platform.covers(utc_s):
             return None
         mavlink, is_earth = self._mavlink, gimbal.is_earth[np.searchsorted(gimbal.utc_s, utc_s, side="right") - 1]
         frame = "EARTH" if is_earth else "VEHICLE"

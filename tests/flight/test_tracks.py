@@ -212,6 +212,8 @@ def test_the_longest_gap_within_an_interval_is_found() -> None:
     assert track.gap_within(0.0, 3.0) == long
     assert track.gap_within(2.4, 2.6) == long
     assert long.duration_s == 1.0
+    covered = [time for time in (-0.1, 0.0, 0.4, 0.7, 1.0, 1.9, 2.5, 3.0, 3.1) if track.covers(time)]
+    assert covered == [0.0, 0.4, 1.0, 1.9, 3.0]
 
 
 def test_a_continuous_track_has_no_gaps(turn: AttitudeTrack) -> None:

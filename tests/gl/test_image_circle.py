@@ -140,7 +140,7 @@ def test_the_sky_has_its_brightness_up_to_the_image_circle(renderer, tmp_path, s
         Lens("plumb_bob", (0.1, 0.0, 0.0, 0.0)),
     ],
 )
-def test_the_border_tells_whether_the_lens_shows_all_pixels(focal_px, centre_px, lens):
+def test_a_lens_that_shows_the_border_shows_all_pixels(focal_px, centre_px, lens):
     camera = Camera(320, 240, focal_px, focal_px, *centre_px, 0.0, lens)
     x, y = np.meshgrid(np.arange(320), np.arange(240))
     unseen = np.isnan(camera.unit_vectors(np.stack([x, y], axis=-1))[..., 0])

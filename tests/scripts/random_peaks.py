@@ -164,7 +164,7 @@ def errors_of(trial: Trial, number: int, stars: int) -> tuple[list[Errors], floa
     listed = orjson.loads(frame_truth(scene, blank, number=0, file="-"))["stars"]
     took_s = time.process_time() - began_s
     random = np.random.default_rng(number)
-    # A star of which less than this is on the image is not measured by anybody.
+    # A smaller part of a star's trail on the image measures nothing.
     listed = [star for star in listed if star["in_frame"] > 0.05]
     chosen = random.permutation(len(listed))[:stars]
     return [_errors_of_star(trial, scene, number, listed[at]) for at in chosen.tolist()], took_s

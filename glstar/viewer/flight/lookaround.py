@@ -122,7 +122,7 @@ class LookAround:
         `aircraft`: the simulator of its camera.
         """
         attitude, mid_s = aircraft.flight.attitude, scene.exposure.mid_utc_s
-        if not attitude.first_s <= mid_s <= attitude.last_s or attitude.gap_within(mid_s, mid_s) is not None:
+        if not attitude.covers(mid_s):
             return np.empty((0, 2))
         right, bottom = aircraft.camera.width_px - 0.5, aircraft.camera.height_px - 0.5
         corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom], [-0.5, -0.5]])

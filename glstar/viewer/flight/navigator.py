@@ -126,7 +126,7 @@ class NavigatorView:
 def _beside(log: OtherLog, C_camera_body: Float, simulator: Simulator, scene: Scene) -> Belief:
     """Return what another log has in the middle of an exposure, as an estimate against the flight shown."""
     mid_s, attitude = scene.exposure.mid_utc_s, log.flight.attitude
-    if not attitude.first_s <= mid_s <= attitude.last_s or attitude.gap_within(mid_s, mid_s) is not None:
+    if not attitude.covers(mid_s):
         return Belief(log.name, lacking="nothing at this time")
     q_body_ned, at = attitude.at(np.array([mid_s]))[0], log.flight.position.at(mid_s)
     place_rad = at.latitude_rad, at.longitude_rad
@@ -169,8 +169,7 @@ def _against_truth(
 def _answered(answer: PlacedAnswer, simulator: Simulator, scene: Scene) -> Belief:
     """Return an answer against the truth of its own time."""
     name, attitude = f"answer {answer.frame}", simulator.flight.attitude
-    is_inside = attitude.first_s <= answer.utc_s <= attitude.last_s
-    if not is_inside or attitude.gap_within(answer.utc_s, answer.utc_s) is not None:
+    if not attitude.covers(answer.utc_s):
         return Belief(name, lacking="no truth at its time")
     C_camera_estimated = offset_km = None
     if answer.C_camera_icrs is not None:

@@ -38,7 +38,7 @@ class OtherLog:
     def angles_rad(self, utc_s: float) -> tuple[float, ...] | None:
         """Return roll, pitch and yaw at a time, UTC s; None where it has none."""
         attitude = self.flight.aircraft_attitude
-        if not attitude.first_s <= utc_s <= attitude.last_s or attitude.gap_within(utc_s, utc_s) is not None:
+        if not attitude.covers(utc_s):
             return None
         return tuple(float(angle) for angle in euler_from_quaternion(attitude.at(utc_s)))
 
