@@ -14,7 +14,7 @@ from glstar.config import Config
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from tests.support.links import free_port, playing, soon
-from tests.support.realwindow import GLSTAR, PATIENCE_S, environment, needs_xvfb, press_keys, started, until
+from tests.support.realwindow import GLSTAR, PATIENCE_S, SETTINGS, environment, needs_xvfb, press_keys, started, until
 
 
 def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> str:
@@ -69,7 +69,7 @@ def test_a_script_plays_in_a_window_and_writes_its_statistics(tmp_path, xvfb):
     assert report["frames"] >= 2
     assert 0 < report["python_ms"]["median"] < report["frame_ms"]["median"]
     assert cv2.imread(str(shot)).shape == (700, 1000, 3)
-    assert not (tmp_path / "glstar").exists()  # a script stores no layout
+    assert not (tmp_path / SETTINGS / "glstar").exists()  # a script stores no layout
 
 
 @needs_xvfb
@@ -107,7 +107,7 @@ def test_a_live_window_shows_the_link_and_earlier_times(tmp_path, xvfb):
     line = json.loads(truth.read_text())
     expected_q = Config().open_flight(table).attitude.at(parse_utc(line["utc_mid"]))
     assert abs(expected_q @ line["q_body_ned"]) > 1 - 1e-9
-    assert (tmp_path / "glstar" / "live.ini").is_file()
+    assert (tmp_path / SETTINGS / "glstar" / "live.ini").is_file()
 
 
 def test_without_a_display_a_script_draws_headless(tmp_path):

@@ -68,7 +68,7 @@ def test_a_link_is_recorded_exported_and_disconnected(tmp_path: Path, display: C
         started("view", "--size", "1280x800", display=number, home=tmp_path) as child,
     ):
         window = RealWindow(number, tmp_path)
-        window.focus()
+        window.focus(child)
         connect(window, places, f"udpin:127.0.0.1:{port}")
         until(lambda: window.press("ctrl+s") or soon(lambda: list(saved.glob("live-*/truth.jsonl")), 3.0), "a frame")
 

@@ -138,7 +138,7 @@ def test_every_panel_responds_to_mouse_and_keys_in_a_small_window(tmp_path, disp
     number, places = display(800, 600), Places(800, 600)
     with started("view", "--size", "800x600", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
-        window.focus()
+        window.focus(child)
         opened = open_bundled_flight(window, places)
         find_and_command(window, places, opened)
         change_image(window, places)
@@ -205,7 +205,7 @@ def test_a_log_real_images_and_a_camera_are_dropped_and_compared(tmp_path, displ
     narrow.write_text("[camera]\nwidth_px = 640\nheight_px = 640\nfx_px = 900.0\nfy_px = 900.0\n", encoding="utf-8")
     with started("view", "--size", "1280x800", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
-        window.focus()
+        window.focus(child)
         window.until(lambda screen: np.ptp(places.image(screen)) > 150, "the welcome panel")
         drag_onto_window(number, log, (300, 300))
         window.until(places.has_status, "the flight that was dropped")
@@ -237,7 +237,7 @@ def test_text_is_twice_as_large_on_a_screen_of_twice_the_resolution(tmp_path, di
     subprocess.run([*words, "Xft.dpi:\t192\n"], check=True, timeout=60)
     with started("view", "--size", "2560x1600", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
-        window.focus()
+        window.focus(child)
         undo_and_redo(window, places, open_bundled_flight(window, places))
         window.press("ctrl+q")
         assert child.wait(60) == 0

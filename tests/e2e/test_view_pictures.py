@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.support.links import soon
-from tests.support.realwindow import Places, RealWindow, changed, needs_xvfb, started, until
+from tests.support.realwindow import SETTINGS, Places, RealWindow, changed, needs_xvfb, started, until
 
 FRAMES_PER_S = 30.0
 PLACES = Places(1280, 800)
@@ -118,7 +118,7 @@ def test_keys_show_save_copy_and_record(
     number, saved = display(1280, 800), tmp_path / "glstar-saved"
     with started("view", "--start", "20", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
-        window.focus()
+        window.focus(child)
         window.until(lambda screen: (PLACES.image(screen).min(axis=2) > 200).sum() > 100, "stars")
         window.away()
         show_and_save(window, saved)
@@ -131,4 +131,4 @@ def test_keys_show_save_copy_and_record(
         assert child.wait(90) == 0
         assert child.stderr is not None
         assert child.stderr.read() == b""
-        assert (tmp_path / "glstar" / "viewer.ini").is_file()
+        assert (tmp_path / SETTINGS / "glstar" / "viewer.ini").is_file()

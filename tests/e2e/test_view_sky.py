@@ -9,7 +9,7 @@ import numpy as np
 from glstar.config import Config
 from glstar.rotation import euler_from_quaternion
 from glstar.system.resources import asset
-from tests.support.realwindow import Places, RealWindow, Work, changed, count, needs_xvfb, started
+from tests.support.realwindow import SETTINGS, Places, RealWindow, Work, changed, count, needs_xvfb, started
 
 # The full Moon of March 2024, 6 hours later, high in the north of Adelaide.
 MOONLIT = ("2024-03-25T13:00:00Z", "-34.9", "138.6", "50")
@@ -197,13 +197,13 @@ def show_panels(window: RealWindow, places: Places) -> None:
 @needs_xvfb
 def test_the_sky_is_shown_turned_pinned_and_compared(tmp_path: Path, display: Callable[[int, int], str]) -> None:
     number, places, usual = display(1920, 1080), Places(1280, 800), Places(1920, 1080)
-    settings, memory = tmp_path / "moonlit.toml", tmp_path / "glstar" / "viewer.json"
+    settings, memory = tmp_path / "moonlit.toml", tmp_path / SETTINGS / "glstar" / "viewer.json"
     settings.write_text('[sky]\npreset = "natural"\n[exposure]\nduration_s = 0.05\n', encoding="utf-8")
-    memory.parent.mkdir()
+    memory.parent.mkdir(parents=True)
     memory.write_text('{"has_toured": true}', encoding="utf-8")
     with started("view", "-c", str(settings), "--size", "1280x800", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path, size=(1280, 800))
-        window.focus()
+        window.focus(child)
         work = Work(window, tmp_path / "glstar-saved")
         ask_for_sky(window, places)
         look_around(window, places)

@@ -259,7 +259,7 @@ def test_a_session_of_work_in_one_window(tmp_path: Path, display: Callable[[int,
     subprocess.run([*GLSTAR, *words], check=True, capture_output=True, timeout=120)
     with started("view", str(log), "--size", "1280x800", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
-        window.focus()
+        window.focus(child)
         work = Work(window, tmp_path / "glstar-saved")
         follow_tour(work)
         window.until(lambda screen: (PLACES.image(screen).min(axis=2) > 200).sum() > 100, "stars")

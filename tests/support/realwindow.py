@@ -48,17 +48,23 @@ class RealWindow:
     def _do(self, *words: str) -> None:
         subprocess.run(["xdotool", *words], check=True, capture_output=True, env=self._variables, timeout=_PATIENCE_S)
 
-    def focus(self) -> None:
-        """Wait for the window and give it the focus."""
+    def focus(self, process: subprocess.Popen[bytes]) -> None:
+        """Wait for a process's window and give it the focus, again and again: one that just appears may refuse it."""
         end_s = time.monotonic() + _PATIENCE_S
-        while True:
-            try:
-                self._do("search", "--sync", "--onlyvisible", "--name", "glstar", "windowfocus", "--sync")
-            except subprocess.CalledProcessError:
-                assert time.monotonic() < end_s, "no window"
-                time.sleep(0.1)
-            else:
-                return
+        while not self._has_focus():
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < end_s, "no window has the focus"
+            self._ask("search", "--onlyvisible", "--name", "glstar", "windowfocus")
+            time.sleep(0.1)
+
+    def _has_focus(self) -> bool:
+        return b"glstar" in self._ask("getwindowfocus", "getwindowname").stdout
+
+    def _ask(self, *words: str) -> subprocess.CompletedProcess[bytes]:
+        """Run xdotool without waiting for what may never come."""
+        return subprocess.run(
+            ["xdotool", *words], check=False, capture_output=True, env=self._variables, timeout=_PATIENCE_S
+        )
 
     def press(self, *chords: str) -> None:
         """Press keys."""
@@ -173,11 +179,13 @@ needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} 
 
 GLSTAR = [sys.executable, "-m", "glstar"]
 PATIENCE_S = 90.0
+# Not the working folder: ``python -m`` would take what the window stores there, ``glstar/``, for the package.
+SETTINGS = "settings"
 
 
 def environment(display: str | None, home: Path, **more: str) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if name not in {"DISPLAY", "WAYLAND_DISPLAY"}}
-    return kept | {"XDG_CONFIG_HOME": str(home)} | ({} if display is None else {"DISPLAY": display}) | more
+    return kept | {"XDG_CONFIG_HOME": str(home / SETTINGS)} | ({} if display is None else {"DISPLAY": display}) | more
 
 
 until = partial(links.until, patience_s=PATIENCE_S)
