@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, sqrt
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,10 +194,19 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
     3 %, and for the others of that which makes their signal the square of the wide one.  Groups of lines are Gaussians
     of twice their variance, because the mean over another group that is alike is sought, not the signal at its middle.
     """
-    blocks = _Blocks.of(lines, sigma_px, on_image)
-    wide, narrow = blocks.sums()
-    length2 = np.square(lines.step_px / (sqrt(2) * sigma_px)).sum(axis=0).astype(np.float32)
-    own = lines.weight / np.sqrt(blocks.determinant)
+    x, y = (lines.middle_px - lines.middle_px[:, :1]) / (sqrt(2) * sigma_px)  # single precision begins here
+    step_x, step_y = step = (lines.step_px / (sqrt(2) * sigma_px)).astype(np.float32)
+    if lines.spread_px2 is None:
+        xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
+        determinant = 1 + xx + yy
+    else:
+        xx, xy, yy = lines.spread_px2 / sigma_px**2
+        determinant = np.maximum((1 + xx) * (1 + yy) - xy * xy, 1.0)
+    own = lines.weight / np.sqrt(determinant)
+    values = x, y, -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant, own
+    half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0)).astype(np.float32)
+    wide, narrow = _sums(_Gaussians(*(each.astype(np.float32) for each in values)), half, on_image)
+    length2 = np.square(step).sum(axis=0)
     length = np.sqrt(np.maximum(length2, 1e-6))
     for signal, scale in ((wide, 1.0), (narrow, sqrt(2))):
         at = scale * length
@@ -207,99 +216,124 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
     return narrow, wide
 
 
-class _Blocks(NamedTuple):
-    """Blocks of consecutive lines of stars, as Gaussians: k blocks of some lines each; lengths in sqrt(2) sigma."""
+class _Gaussians(NamedTuple):
+    """The lines of stars as Gaussians, (n, m) each, in the order of the path; lengths in sqrt(2) sigma."""
 
-    at: Float32  # (k, 2, size) middles
-    # (k, 4, size) coefficients of x^2, x y and y^2 in the exponents, and the heights
-    gaussians: Float32
-    bounds: tuple[Float32, Float32]  # (2, m, blocks) smallest and largest x and y
-    is_needed: NDArray[np.bool_]  # (m, blocks)
-    determinant: Float32  # (n, m)
-
-    @classmethod
-    def of(cls, lines: _Lines, sigma_px: float, on_image: NDArray[np.bool_]) -> Self:
-        """Return the blocks of lines."""
-        from_start_px = lines.middle_px - lines.middle_px[:, :1]  # single precision begins here
-        (x, y), (step_x, step_y) = (
-            (px / (sqrt(2) * sigma_px)).astype(np.float32) for px in (from_start_px, lines.step_px)
-        )
-        if lines.spread_px2 is None:
-            xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
-            determinant = 1 + xx + yy
-        else:
-            xx, xy, yy = lines.spread_px2 / sigma_px**2
-            determinant = np.maximum((1 + xx) * (1 + yy) - xy * xy, 1.0).astype(np.float32)
-            xx, xy, yy = (each.astype(np.float32) for each in (xx, xy, yy))
-        height = lines.weight.astype(np.float32) / np.sqrt(determinant)
-        size = len(x) if len(x) <= 4 * _BLOCK_LINES else _BLOCK_LINES
-        half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0))
-        low, high = (_in_blocks(each, size) for each in (np.stack([x, y]) - half, np.stack([x, y]) + half))
-        a, b, c = -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant
-        at = np.stack([_in_blocks(each, size) for each in (x, y)], axis=2).reshape(-1, 2, size)
-        padded = [_in_blocks(each, size, repeat=each is not height) for each in (a, b, c, height)]
-        gaussians = np.stack(padded, axis=2).reshape(-1, 4, size)
-        is_needed = np.asarray(_in_blocks(on_image, size).any(axis=-1))
-        return cls(at, gaussians, (low.min(axis=-1), high.max(axis=-1)), is_needed, determinant)
-
-    def sums(self) -> tuple[Float32, Float32]:
-        """Return the sums of Gaussians, and of their squares over their heights, at each middle, (n, m) both."""
-        stars, count = self.is_needed.shape
-        size = self.at.shape[2]
-        both, at_once = np.zeros((len(self.at), 2, size), np.float32), max(1, _PAIRS // size**2)
-        for target, source in self._near(max(1, 8 * _PAIRS // count**2)):
-            for first in range(0, len(target), at_once):
-                to, of = target[first : first + at_once], source[first : first + at_once]
-                # The pairs of blocks are the last axis: loops over a few lines are slow.
-                (to_x, to_y), (of_x, of_y), (a, b, c, height) = (
-                    np.ascontiguousarray(np.moveaxis(each.take(blocks, axis=0), 0, -1))
-                    for each, blocks in ((self.at, to), (self.at, of), (self.gaussians, of))
-                )
-                dx, dy = to_x[:, np.newaxis] - of_x, to_y[:, np.newaxis] - of_y
-                exponent = a * dx
-                exponent += b * dy
-                exponent *= dx
-                dy *= dy
-                dy *= c
-                exponent += dy
-                # Rounding may exceed 0 beside very long lines.
-                np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
-                np.exp(exponent, out=exponent)
-                sums = np.empty((2, size, len(to)), np.float32)
-                for total in sums:
-                    # Without OpenBLAS, whose rounding depends on how many threads it has.
-                    np.multiply(exponent, height, out=dx).sum(axis=1, out=total)
-                    exponent *= exponent
-                begins = np.flatnonzero(np.diff(to, prepend=-1))
-                both[to[begins]] += np.add.reduceat(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), begins, axis=0)
-        lines = len(self.determinant)
-        wide, narrow = (np.ascontiguousarray(both[:, kind].reshape(stars, -1)[:, :lines].T) for kind in (0, 1))
-        return wide, narrow
-
-    def _near(self, stars_at_once: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Yield the rows of blocks that need light, and those of blocks near them, (p,) both, some stars at a time."""
-        count = self.is_needed.shape[1]
-        for first in range(0, len(self.is_needed), stars_at_once):
-            stars = slice(first, first + stars_at_once)
-            is_near = np.repeat(self.is_needed[stars, :, np.newaxis], count, axis=2)
-            for low, high in zip(*(bound[:, stars] for bound in self.bounds), strict=True):
-                is_reached = low[:, :, np.newaxis] < high[:, np.newaxis] + np.float32(_FAR_SIGMA / sqrt(2))
-                is_near &= is_reached
-                is_near &= is_reached.swapaxes(1, 2)
-            star, target, source = is_near.nonzero()
-            star += first
-            star *= count
-            yield star + target, star + source
+    x: Float32  # Middles
+    y: Float32
+    a: Float32  # Coefficients of x^2, x y and y^2 in the exponents
+    b: Float32
+    c: Float32
+    height: Float32
 
 
-def _in_blocks(values: NDArray[Any], size: int, *, repeat: bool = True) -> NDArray[Any]:
-    """Return values of lines, (..., n, m), by star and by block, (..., m, blocks, size); a last block is filled."""
-    values = np.moveaxis(values, -2, -1)
-    missing = -values.shape[-1] % size
-    if missing:
-        rest = np.repeat(values[..., -1:], missing, axis=-1) if repeat else np.zeros((*values.shape[:-1], missing))
-        values = np.concatenate([values, rest.astype(values.dtype)], axis=-1)
-    return np.ascontiguousarray(values).reshape(*values.shape[:-1], -1, size)
+def _sums(lines: _Gaussians, half: Float32, is_needed: NDArray[np.bool_]) -> tuple[Float32, Float32]:
+    """Return the sums of Gaussians, and of their squares over their heights, at each middle, (n, m) both.
+
+    `half` (2, n, m): half of their extents along x and y; `is_needed` (n, m): at which middles.
+    """
+    count, stars = lines.x.shape
+    longest = np.sqrt(np.square(half).sum(axis=0)).max(axis=0, initial=0.0)
+    at_once = max(1, _PAIRS // count)
+    both = np.empty((2, count, stars), np.float32)
+    for first in range(0, stars, at_once):
+        some = slice(first, first + at_once)
+        part = _Gaussians(*(np.ascontiguousarray(each[:, some]) for each in lines))
+        sums = _of_neighbours(part, float(longest[some].max()))
+        if count > 2 * _BLOCK_LINES:
+            _add_returning(sums, part, half[:, :, some], is_needed[:, some])
+        both[:, :, some] = sums
+    return both[0], both[1]
+
+
+def _of_neighbours(lines: _Gaussians, longest: float) -> Float32:
+    """Return the sums over the lines of each line's own block and of the next ones, (2, n, m)."""
+    count = len(lines.x)
+    sums = np.stack([lines.height, lines.height])
+    far2 = np.float32((_FAR_SIGMA / sqrt(2) + longest) ** 2)
+    for separation in range(1, min(count, 2 * _BLOCK_LINES)):
+        first: NDArray[np.intp] | slice = slice(0, count - separation)
+        if separation > _BLOCK_LINES:
+            line = np.arange(count - separation)
+            first = line[line % _BLOCK_LINES + separation < 2 * _BLOCK_LINES]
+        x, y = (each[separation:][first] - each[first] for each in (lines.x, lines.y))
+        xx, yy = x * x, y * y
+        near = np.flatnonzero((xx + yy < far2).any(axis=1))
+        if not near.size:
+            continue
+        some = slice(near[0], near[-1] + 1)
+        first = first[some] if isinstance(first, np.ndarray) else some
+        xx, xy, yy = xx[some], np.multiply(x, y, out=x)[some], yy[some]
+        for to, of in ((0, separation), (separation, 0)):
+            a, b, c, height = (each[of:][first] for each in lines[2:])
+            light = a * xx
+            light += b * xy
+            light += c * yy
+            _exponential(light)
+            height = height * light
+            sums[0, to:][first] += height
+            height *= light
+            sums[1, to:][first] += height
+    return sums
+
+
+def _add_returning(sums: Float32, lines: _Gaussians, half: Float32, is_needed: NDArray[np.bool_]) -> None:
+    """Add the light of blocks that are near without being neighbours, because a path returns or crosses itself."""
+    count, stars = lines.x.shape
+    star, target, source = _near_blocks(lines, half, is_needed)
+    within = np.arange(_BLOCK_LINES)[:, np.newaxis]
+    at_once = _PAIRS // _BLOCK_LINES**2
+    for begin in range(0, len(star), at_once):
+        some = slice(begin, begin + at_once)
+        # A last block that is shorter has its last line again, without light.
+        to, of = (_BLOCK_LINES * block[some] + within for block in (target, source))
+        is_line = of < count
+        to, of = (np.minimum(line, count - 1) * stars + star[some] for line in (to, of))
+        # The pairs of blocks are the last axis: loops over a few lines are slow.
+        x, y = (each.take(to)[:, np.newaxis] - each.take(of) for each in (lines.x, lines.y))
+        a, b, c, height = (each.take(of) for each in lines[2:])
+        height *= is_line
+        exponent = b * x
+        exponent *= y
+        x *= x
+        x *= a
+        exponent += x
+        y *= y
+        y *= c
+        exponent += y
+        light = _exponential(exponent)
+        begins = np.flatnonzero(np.diff(to[0], prepend=-1))
+        to = to[:, begins]
+        for square, total in enumerate(sums.reshape(2, -1)):
+            if square:
+                light *= light
+            # Without OpenBLAS, whose rounding depends on how many threads it has.
+            total[to] += np.add.reduceat(np.einsum("tsp,sp->tp", light, height), begins, axis=1)
+
+
+def _near_blocks(
+    lines: _Gaussians, half: Float32, is_needed: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return the stars, blocks that need light and blocks near them, but not next to them, (p,) each."""
+    starts = np.arange(0, len(lines.x), _BLOCK_LINES)
+    needed = np.logical_or.reduceat(is_needed, starts, axis=0).T
+    number = np.arange(len(starts))
+    is_near = needed[:, :, np.newaxis] & (np.abs(number[:, np.newaxis] - number) > 1)
+    for middle, extent in zip((lines.x, lines.y), half, strict=True):
+        low = np.minimum.reduceat(middle - extent, starts, axis=0).T
+        high = np.maximum.reduceat(middle + extent, starts, axis=0).T
+        is_reached = low[:, :, np.newaxis] < high[:, np.newaxis] + np.float32(_FAR_SIGMA / sqrt(2))
+        is_near &= is_reached
+        is_near &= is_reached.swapaxes(1, 2)
+    star, target, source = is_near.nonzero()
+    return star, target, source
+
+
+def _exponential(exponent: Float32) -> Float32:
+    """Return the exponential function of negative numbers, in their place."""
+    # Rounding may exceed 0 beside very long lines.
+    np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
+    return np.exp(exponent, out=exponent)
 
 
 @dataclass(frozen=True, slots=True)
