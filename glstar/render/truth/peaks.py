@@ -23,10 +23,10 @@ from glstar.render.scene.transmission import Transmission
 from glstar.render.truth.linechains import (
     LineChain,
     NearLines,
-    SignalOfLines,
     Stars,
     line_chains,
-    normal_cumulative,
+    normal_from_middle,
+    square_distance_px2,
 )
 from glstar.sky.photometry import USUAL_BV
 
@@ -179,8 +179,8 @@ def _candidates(lines: _Lines, signals: Float, separation_px: float) -> tuple[Fl
         if not is_promising.any():
             break
         chosen.append((np.where(is_promising[:, np.newaxis], middle_px, _FAR_PX), step_px))
-        near = np.square(lines.middle_px - middle_px.T[:, np.newaxis]).sum(axis=0) < separation_px * separation_px
-        signals[near] = -np.inf
+        near = square_distance_px2(lines.middle_px, *middle_px.T) < separation_px * separation_px
+        signals[near.nonzero()] = -np.inf  # for few of many, faster than by the mask
     middles_px, steps_px = zip(*chosen, strict=True)
     return np.stack(middles_px), np.stack(steps_px)
 
@@ -211,7 +211,7 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
     for signal, scale in ((wide, 1.0), (narrow, sqrt(2))):
         at = scale * length
         if lines.spread_px2 is None:
-            signal[...] += lines.weight * (sqrt(2 * np.pi) * (2 * normal_cumulative(at / 2) - 1) / at) - own
+            signal[...] += lines.weight * (sqrt(2 * np.pi) * 2 * normal_from_middle(at / 2) / at) - own
         signal[...] *= scale * scale / (4 * np.pi * sigma_px * sigma_px)
     return narrow, wide
 
@@ -383,9 +383,10 @@ def trail_peaks(
     return TrailPeaks(peak, _area_over_core(scene.sensor, scales, dimmed) * area_px2)
 
 
-# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; and then how
-# far around the best point, sigma.
-_ALONG = (0.0, -0.25, 0.25, -0.5, 0.5)
+# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; then around
+# the best place, at these steps, (2, 5), and of these lengths, sigma.
+_ALONG = np.array([0.0, -0.25, 0.25, -0.5, 0.5])[:, np.newaxis]
+_AROUND = np.array([[-1, 1, 0, 0, 1], [0, 0, -1, 1, 1]])[..., np.newaxis]
 _AROUND_SIGMA = (0.6, 0.3)
 
 
@@ -397,73 +398,77 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def near(self, point_px: Float, reach_px: Float) -> list[SignalOfLines]:
-        """Return for each Gaussian the lines that matter near a point of each star of the scene, (m, 2) and (m,) px."""
+    def near(self, point_px: Float, reach_px: Float) -> list[tuple[float, NearLines]]:
+        """Return the lines near a point of each star of the scene, (m, 2) and (m,) px, and the fraction they have."""
         point_px, reach_px = point_px[self.stars], reach_px[self.stars]
         return [
-            NearLines.of(self.chain, point_px - offset_px, reach_px, sigma_px, self.transmission).signal
-            for _, sigma_px, offset_px in self.gaussians
+            (fraction, lines)
+            for fraction, sigma_px, offset_px in self.gaussians
+            for lines in NearLines.of(self.chain, point_px - offset_px, reach_px, sigma_px, self.transmission)
         ]
-
-    def signal_at(self, point_px: Float, near: list[SignalOfLines]) -> Float:
-        """Return the signal at a point of each star of the scene, (m, 2) px, of those with this profile."""
-        signals = [
-            fraction * lines.at(point_px[self.stars] - offset_px)
-            for (fraction, _, offset_px), lines in zip(self.gaussians, near, strict=True)
-        ]
-        return signals[0] if len(signals) == 1 else np.asarray(np.sum(signals, axis=0))
 
 
 class _Search:
-    """The largest signals on the image that have been found, and where."""
+    """The largest signals on the image near a line of each of m stars.
 
-    def __init__(self, camera: Camera, sigma_px: float, parts: Sequence[_Part], count: int) -> None:
-        self.largest, self.point_px = np.zeros(count), np.zeros((count, 2))
-        self._last_px = np.array([camera.width_px, camera.height_px]) - 0.5
-        self._parts, self._sigma_px = parts, sigma_px
+    Parameters
+    ----------
+    camera : Camera
+    sigma_px : float
+        The scale of steps.
+    parts : sequence of _Part
+    middle_px, step_px : (m, 2) arrays
+        Middles of the lines, from which places are measured, and vectors from their starts to their ends.
+    """
 
-    def along(self, middle_px: Float, step_px: Float) -> None:
-        """Evaluate the signal along a line of each star, given its middle, (m, 2) px, and its step."""
-        near = self._near(middle_px, np.linalg.norm(step_px, axis=1) / 2)
-        for place in _ALONG:
-            self._signal_at(middle_px + place * step_px, near)
+    def __init__(
+        self, camera: Camera, sigma_px: float, parts: Sequence[_Part], middle_px: Float, step_px: Float
+    ) -> None:
+        self.largest, self._best_px = np.zeros(len(middle_px)), np.zeros((2, 1, len(middle_px)))
+        size_px = np.array([camera.width_px, camera.height_px])
+        self._limits_px = [(edge - middle_px).T[:, np.newaxis] for edge in (-0.5, size_px - 0.5)]
+        self._sigma_px, self._step_px = sigma_px, step_px.T[:, np.newaxis]
+        reach_px = np.linalg.norm(step_px, axis=1) / 2 + 3 * _AROUND_SIGMA[0] * sigma_px
+        self._near = [(part.stars, *near) for part in parts for near in part.near(middle_px, reach_px)]
+
+    def along(self) -> None:
+        """Evaluate the signal along the lines."""
+        self._signal_at(self._step_px * _ALONG)
 
     def around(self) -> None:
-        """Evaluate the signal around the best points: a paraboloid through its logarithms has its peak elsewhere."""
-        near = self._near(self.point_px, np.full(len(self.largest), 3 * _AROUND_SIGMA[0] * self._sigma_px))
+        """Evaluate the signal around the best places: a paraboloid through its logarithms has its peak elsewhere."""
         for step_sigma in _AROUND_SIGMA:
-            step_px, at_px = step_sigma * self._sigma_px, self.point_px.copy()
-
-            def log_at(x: float, y: float, step_px: float = step_px, at_px: Float = at_px) -> Float:
-                signal = self._signal_at(at_px + step_px * np.array([x, y]), near)
-                return np.asarray(np.log(np.maximum(signal, 1e-30)))
-
-            middle, left, right, above, below, beside = (
-                log_at(*to) for to in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (1, 1))
-            )
-            slope = np.stack([right - left, below - above], axis=-1) / 2
+            step_px, at_px = step_sigma * self._sigma_px, self._best_px
+            middle = np.log(np.maximum(self.largest, 1e-30))
+            signal = self._signal_at(at_px + step_px * _AROUND)
+            left, right, above, below, beside = np.log(np.maximum(signal, 1e-30))
+            slope_x, slope_y = (right - left) / 2, (below - above) / 2
             xx, yy, xy = left + right - 2 * middle, above + below - 2 * middle, beside - right - below + middle
             determinant = xx * yy - xy * xy
             is_peak = (xx < 0) & (determinant > 1e-9)
-            towards = np.stack([xy * slope[:, 1] - yy * slope[:, 0], xy * slope[:, 0] - xx * slope[:, 1]], axis=-1)
-            towards = np.where(
-                is_peak[:, np.newaxis], towards / np.where(is_peak, determinant, 1.0)[:, np.newaxis], slope
+            scale = np.where(is_peak, determinant, 1.0)
+            towards = np.stack(
+                [
+                    np.where(is_peak, (xy * slope_y - yy * slope_x) / scale, slope_x),
+                    np.where(is_peak, (xy * slope_x - xx * slope_y) / scale, slope_y),
+                ]
             )
-            length = np.linalg.norm(towards, axis=-1, keepdims=True)
-            self._signal_at(at_px + step_px * towards * np.minimum(1.0, 2.0 / np.maximum(length, 1e-9)), near)
+            length = np.sqrt(np.square(towards).sum(axis=0))
+            towards *= step_px * np.minimum(1.0, 2.0 / np.maximum(length, 1e-9))
+            self._signal_at(at_px + towards[:, np.newaxis])
 
-    def _near(self, point_px: Float, reach_px: Float) -> list[list[SignalOfLines]]:
-        return [part.near(point_px, reach_px) for part in self._parts]
-
-    def _signal_at(self, point_px: Float, near: list[list[SignalOfLines]]) -> Float:
-        """Return the signal at a point of each star, (m, 2) px, or the nearest one of the image; keep the largest."""
-        point_px = point_px.clip(-0.5, self._last_px)
-        signal = np.zeros(len(point_px))
-        for part, lines in zip(self._parts, near, strict=True):
-            signal[part.stars] += part.signal_at(point_px, lines)
-        is_larger = signal > self.largest
-        np.copyto(self.largest, signal, where=is_larger)
-        np.copyto(self.point_px, point_px, where=is_larger[:, np.newaxis])
+    def _signal_at(self, place_px: Float) -> Float:
+        """Return the signal at places, (2, k, m) px, or the nearest ones of the image, (k, m); keep the largest."""
+        x_px, y_px = place_px = place_px.clip(*self._limits_px)
+        signal = np.zeros(x_px.shape)
+        for stars, fraction, lines in self._near:
+            signal[:, stars] += fraction * lines.signal(x_px[:, stars], y_px[:, stars])
+        best, star = signal.argmax(axis=0), np.arange(len(self.largest))
+        is_larger = signal[best, star] > self.largest
+        best, star = best[is_larger], star[is_larger]
+        self.largest[star] = signal[best, star]
+        self._best_px = self._best_px.copy()
+        self._best_px[:, 0, star] = place_px[:, best, star]
         return signal
 
 
@@ -482,8 +487,8 @@ def _largest_signal(
     ]
     largest = np.zeros(points.point_px.shape[1])
     for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
-        search = _Search(scene.camera, scene.sensor.effective_sigma_px, parts, len(largest))
-        search.along(middle_px, step_px)
+        search = _Search(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px)
+        search.along()
         search.around()
         np.maximum(largest, search.largest, out=largest)
     return largest
