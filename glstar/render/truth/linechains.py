@@ -1,7 +1,7 @@
 """Paths of stars as chains of straight lines, and the signal that the lines leave at a point."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import Self
 
@@ -101,61 +101,62 @@ class NearLines:
 
     point: NDArray[np.intp]  # (p,) the point of each line
     sigma_px: float
-    middle: tuple[Float32, Float32]  # (p,) columns and rows of their middles, from the point
-    along: tuple[Float32, Float32]  # (p,) columns and rows of unit vectors along them
-    half: Float32 | None  # (p,) half of the lengths of long lines; None for short ones
-    inverse_variance: Float32 | None  # (p,) along short lines, which are Gaussians; None for long ones
-    height_per_px2: Float32  # (p,) of the density along a line, with the fraction of the star's flux that arrives
+    is_long: bool
+    # (6, p): columns and rows of their middles, from the point; columns and rows of unit vectors along them; half of
+    # the lengths of long lines, or 1 over the variance along short ones, which are Gaussians; the height of the density
+    # along a line, with the fraction of the star's flux that arrives, 1/px^2.
+    lines: Float32
 
     @classmethod
     def of(
-        cls, chain: LineChain, point_px: Float, reach_px: Float, sigma_px: float, transmission: Float | None
+        cls,
+        chain: LineChain,
+        points: Stars,
+        point_px: Float,
+        reach_px: Float,
+        sigma_px: float,
+        passing: Float | float,
     ) -> Iterator[Self]:
         """Yield the long and the short lines of a chain that are near a point of their star, (m, 2) px.
 
-        `reach_px` (m,): how far from the point the signal is evaluated; `transmission` (n, m): what reaches the camera
-        during each line; None for all.
+        `points`: the numbers of the points; `reach_px` (m,): how far from them the signal is evaluated; `passing`
+        (n, m) or float: which fraction of the flux arrives during each line.
         """
         near, star = chain.near(point_px, reach_px + _FAR_SIGMA * sigma_px)
-        length = np.maximum(chain.length_px.ravel().take(near), 1e-9) / sigma_px
-        is_long = length >= _SHORT_SIGMA
-        for kind in (is_long, ~is_long):
-            some = np.flatnonzero(kind)
-            if some.size:
-                yield cls._of_kind(chain, near[some], star[some], point_px, sigma_px, transmission)
-
-    @classmethod
-    def _of_kind(
-        cls,
-        chain: LineChain,
-        near: NDArray[np.intp],
-        star: NDArray[np.intp],
-        point_px: Float,
-        sigma_px: float,
-        transmission: Float | None,
-    ) -> Self:
         length_px = np.maximum(chain.length_px.ravel().take(near), 1e-9)
-        height = chain.duration.take(near // chain.length_px.shape[1])
+        light = chain.duration.take(near // chain.length_px.shape[1])
         if chain.recorded is not None:
-            height = chain.recorded.ravel().take(near)
-        if transmission is not None:
-            height = height * transmission.ravel().take(near)
-        along_x, along_y = ((step.ravel().take(near) / length_px).astype(np.float32) for step in chain.step_px)
-        middle_x, middle_y = (
-            ((middle.ravel().take(near) - at_px.take(star)) / sigma_px).astype(np.float32)
-            for middle, at_px in zip(chain.middle_px, point_px.T, strict=True)
+            light = chain.recorded.ravel().take(near)
+        light = light * (passing if isinstance(passing, float) else passing.ravel().take(near))
+        lines = np.stack(
+            [
+                *(
+                    (px.ravel().take(near) - at.take(star)) / sigma_px
+                    for px, at in zip(chain.middle_px, point_px.T, strict=True)
+                ),
+                *(px.ravel().take(near) / length_px for px in chain.step_px),
+                length_px / sigma_px,
+                light / (sqrt(2 * pi) * sigma_px**2),
+            ]
         )
-        length = length_px / sigma_px
-        half = inverse_variance = None
-        if length[0] >= _SHORT_SIGMA:
-            half = (length / 2).astype(np.float32)
-            height = height / length
-        else:
-            variance = 1 + length * length / 12
-            inverse_variance = (1 / variance).astype(np.float32)
-            height = height / np.sqrt(2 * pi * variance)
-        height_per_px2 = (height / (sqrt(2 * pi) * sigma_px**2)).astype(np.float32)
-        return cls(star, sigma_px, (middle_x, middle_y), (along_x, along_y), half, inverse_variance, height_per_px2)
+        point = star if isinstance(points, slice) else points[star]
+        is_long = lines[4] >= _SHORT_SIGMA
+        if (long := np.flatnonzero(is_long)).size:
+            some = lines.take(long, axis=1)
+            some[5] /= some[4]
+            some[4] /= 2
+            yield cls(point[long], sigma_px, True, some.astype(np.float32))
+        if (short := np.flatnonzero(~is_long)).size:
+            some = lines.take(short, axis=1)
+            some[4] = 1 / (1 + some[4] * some[4] / 12)
+            some[5] *= np.sqrt(some[4] / (2 * pi))
+            yield cls(point[short], sigma_px, False, some.astype(np.float32))
+
+    def of_points(self, points: NDArray[np.bool_]) -> Self:
+        """Return the lines near some of the points, which are numbered anew."""
+        some = np.flatnonzero(points[self.point])
+        number = np.cumsum(points) - 1
+        return replace(self, point=number[self.point[some]], lines=self.lines.take(some, axis=1))
 
     def signal(self, x_px: Float, y_px: Float) -> Float:
         """Return the signal of stars at some places around their points, over their flux, (k, m) 1/px^2.
@@ -169,34 +170,32 @@ class NearLines:
         for first in range(0, len(self.point), at_once):
             some = slice(first, first + at_once)
             point = self.point[some]
-            off_x, off_y = x.take(point, axis=1), y.take(point, axis=1)
-            off_x -= self.middle[0][some]
-            off_y -= self.middle[1][some]
-            light = self._light(off_x, off_y, some)
+            light = self._light(x.take(point, axis=1), y.take(point, axis=1), some)
             place = point + count * np.arange(places)[:, np.newaxis]
             signal += np.bincount(place.ravel(), light.ravel(), minlength=len(signal))
         return signal.reshape(places, count)
 
-    def _light(self, off_x: Float32, off_y: Float32, some: slice) -> Float32:
-        """Return the light of some lines at offsets from their middles, (k, p)."""
-        along_x, along_y = (each[some] for each in self.along)
-        s, across = off_x * along_x, off_x * along_y
-        s += off_y * along_y
-        off_y *= along_x
-        across -= off_y
+    def _light(self, x: Float32, y: Float32, some: slice) -> Float32:
+        """Return the light of some lines at offsets from their points, (k, p)."""
+        middle_x, middle_y, along_x, along_y, extent, height = self.lines[:, some]
+        x -= middle_x
+        y -= middle_y
+        s, across = x * along_x, x * along_y
+        s += y * along_y
+        y *= along_x
+        across -= y
         across *= across
-        if self.inverse_variance is not None:
+        if not self.is_long:
             s *= s
-            s *= self.inverse_variance[some]
+            s *= extent
             across += s
         across *= np.float32(-0.5)
         light: Float32 = np.exp(across, out=across)
-        if self.half is not None:
-            half = self.half[some]
-            after, before = normal_from_middle(np.stack([s + half, s - half]))
+        if self.is_long:
+            after, before = normal_from_middle(np.stack([s + extent, s - extent]))
             after -= before
             light *= after
-        light *= self.height_per_px2[some]
+        light *= height
         return light
 
 

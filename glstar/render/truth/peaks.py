@@ -388,6 +388,11 @@ def trail_peaks(
 _ALONG = np.array([0.0, -0.25, 0.25, -0.5, 0.5])[:, np.newaxis]
 _AROUND = np.array([[-1, 1, 0, 0, 1], [0, 0, -1, 1, 1]])[..., np.newaxis]
 _AROUND_SIGMA = (0.6, 0.3)
+# It is not evaluated around places with a smaller part than this of the signal of a star's best place, nor where it
+# is the same along the line, largest over smallest, and on both of its sides, logarithm of the ratio: gains of 0.1 %.
+_WORTHWHILE = 0.9
+_EVEN = 1.003
+_SYMMETRIC = 0.05
 
 
 class _Part(NamedTuple):
@@ -398,42 +403,56 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def near(self, point_px: Float, reach_px: Float) -> list[tuple[float, NearLines]]:
-        """Return the lines near a point of each star of the scene, (m, 2) and (m,) px, and the fraction they have."""
+    def near(self, point_px: Float, reach_px: Float) -> Iterator[NearLines]:
+        """Yield the lines near a point of each star of the scene, (m, 2) and (m,) px."""
         point_px, reach_px = point_px[self.stars], reach_px[self.stars]
-        return [
-            (fraction, lines)
-            for fraction, sigma_px, offset_px in self.gaussians
-            for lines in NearLines.of(self.chain, point_px - offset_px, reach_px, sigma_px, self.transmission)
-        ]
+        for fraction, sigma_px, offset_px in self.gaussians:
+            passing = fraction if self.transmission is None else fraction * self.transmission
+            yield from NearLines.of(self.chain, self.stars, point_px - offset_px, reach_px, sigma_px, passing)
 
 
 class _Search:
     """The largest signals on the image near a line of each of m stars.
 
-    Parameters
+    Attributes
     ----------
-    camera : Camera
-    sigma_px : float
-        The scale of steps.
-    parts : sequence of _Part
-    middle_px, step_px : (m, 2) arrays
-        Middles of the lines, from which places are measured, and vectors from their starts to their ends.
+    largest : (m,) array
+    may_gain : (m,) bool array
+        Whether the signal differs along the line or on its sides, so that it may be larger beside the best place.
     """
 
-    def __init__(
-        self, camera: Camera, sigma_px: float, parts: Sequence[_Part], middle_px: Float, step_px: Float
-    ) -> None:
-        self.largest, self._best_px = np.zeros(len(middle_px)), np.zeros((2, 1, len(middle_px)))
-        size_px = np.array([camera.width_px, camera.height_px])
-        self._limits_px = [(edge - middle_px).T[:, np.newaxis] for edge in (-0.5, size_px - 0.5)]
-        self._sigma_px, self._step_px = sigma_px, step_px.T[:, np.newaxis]
-        reach_px = np.linalg.norm(step_px, axis=1) / 2 + 3 * _AROUND_SIGMA[0] * sigma_px
-        self._near = [(part.stars, *near) for part in parts for near in part.near(middle_px, reach_px)]
+    def __init__(self, sigma_px: float, near: Sequence[NearLines], limits_px: Sequence[Float]) -> None:
+        self.largest, self._best_px = np.zeros(limits_px[0].shape[-1]), np.zeros_like(limits_px[0])
+        self._sigma_px, self._near, self._limits_px = sigma_px, near, limits_px
+        self.may_gain = np.ones(len(self.largest), np.bool_)
 
-    def along(self) -> None:
-        """Evaluate the signal along the lines."""
-        self._signal_at(self._step_px * _ALONG)
+    @classmethod
+    def along(cls, camera: Camera, sigma_px: float, parts: Sequence[_Part], middle_px: Float, step_px: Float) -> Self:
+        """Search along lines, given their middles, (m, 2) px, and vectors from their starts to their ends."""
+        length_px = np.maximum(np.linalg.norm(step_px, axis=1), 1e-9)
+        along = step_px / length_px[:, np.newaxis]
+        along[length_px <= 1e-9] = 1.0, 0.0
+        length_px = np.maximum(length_px, _AROUND_SIGMA[0] * sigma_px)
+        reach_px = length_px / 2 + 3 * _AROUND_SIGMA[0] * sigma_px
+        near = [lines for part in parts for lines in part.near(middle_px, reach_px)]
+        size_px = np.array([camera.width_px, camera.height_px])
+        search = cls(sigma_px, near, [(edge - middle_px).T[:, np.newaxis] for edge in (-0.5, size_px - 0.5)])
+        (x, y), side_px = along.T, _AROUND_SIGMA[0] * sigma_px
+        along_px = np.array([x, y])[:, np.newaxis] * (length_px * _ALONG)
+        beside_px = np.array([-y, x])[:, np.newaxis] * (side_px * np.array([[-1.0], [1.0]]))
+        signal = np.maximum(search._signal_at(np.concatenate([along_px, beside_px], axis=1)), 1e-30)
+        on_line, (left, right) = signal[: len(_ALONG)], signal[len(_ALONG) :]
+        search.may_gain = (on_line.max(axis=0) > _EVEN * on_line.min(axis=0)) | (
+            np.abs(np.log(left / right)) > _SYMMETRIC
+        )
+        return search
+
+    def of(self, stars: NDArray[np.bool_]) -> "_Search":
+        """Return the search of some stars."""
+        near = [lines.of_points(stars) for lines in self._near]
+        search = _Search(self._sigma_px, near, [px[..., stars] for px in self._limits_px])
+        search.largest, search._best_px = self.largest[stars], self._best_px[..., stars]
+        return search
 
     def around(self) -> None:
         """Evaluate the signal around the best places: a paraboloid through its logarithms has its peak elsewhere."""
@@ -461,8 +480,8 @@ class _Search:
         """Return the signal at places, (2, k, m) px, or the nearest ones of the image, (k, m); keep the largest."""
         x_px, y_px = place_px = place_px.clip(*self._limits_px)
         signal = np.zeros(x_px.shape)
-        for stars, fraction, lines in self._near:
-            signal[:, stars] += fraction * lines.signal(x_px[:, stars], y_px[:, stars])
+        for lines in self._near:
+            signal += lines.signal(x_px, y_px)
         best, star = signal.argmax(axis=0), np.arange(len(self.largest))
         is_larger = signal[best, star] > self.largest
         best, star = best[is_larger], star[is_larger]
@@ -485,12 +504,17 @@ def _largest_signal(
         for chain, transmission in zip(chains, transmissions, strict=True)
         for stars, gaussians in profiles
     ]
-    largest = np.zeros(points.point_px.shape[1])
-    for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
-        search = _Search(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px)
-        search.along()
-        search.around()
-        np.maximum(largest, search.largest, out=largest)
+    searches = [
+        _Search.along(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px)
+        for middle_px, step_px in zip(points.point_px, points.step_px, strict=True)
+    ]
+    largest: Float = np.max([search.largest for search in searches], axis=0)
+    promising = _WORTHWHILE * largest
+    for search in searches:
+        is_worthwhile = search.may_gain & (search.largest > promising)
+        refined = search.of(is_worthwhile)
+        refined.around()
+        largest[is_worthwhile] = np.maximum(largest[is_worthwhile], refined.largest)
     return largest
 
 
