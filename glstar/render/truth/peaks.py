@@ -7,7 +7,7 @@ of consecutive lines that are near each other.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, sqrt
+from math import ceil, pi, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -35,7 +35,7 @@ _MOST_LINES = 300
 # Lines that are together shorter than this, sigma, are one group.
 _SHORT_SIGMA = 1.5
 # Lines that are longer than this, sigma, are divided, because another part of the path may cross them anywhere.
-_LONG_SIGMA = 6.0
+_LONG_SIGMA = 4.0
 # Consecutive lines of a block.
 _BLOCK_LINES = 8
 # Blocks that are at a larger distance than this, sigma, do not count: 4e-4 of the light of wide stars.
@@ -78,17 +78,39 @@ def brightest_points(
     """
     lines = _Lines.of(chains, sigma_px, camera)
     outside_px = camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
-    on_image = (outside_px <= 0).astype(np.float64)
-    signals, overlaps = _signals_and_overlaps(lines, sigma_px, on_image > 0)
+    on_image, lit = _parts_on_image(lines, camera, outside_px, sigma_px / sqrt(2))
+    signals, overlaps = _signals_and_overlaps(lines, sigma_px, lit > 0)
     clouded = [transmission for transmission in transmissions if transmission is not None]
     passing = lines.means(_joined(clouded)) if clouded else np.ones_like(lines.weight)
     nearby = _smoothed(lines, passing, sigma_px, on_image) if clouded else passing
     light: Float = np.where(lines.weight > 0, signals * nearby, 0.0)
     light = np.where(outside_px > 0, -outside_px, light)
-    on_image *= lines.weight
-    square = np.einsum("nm,nm,nm,nm->m", on_image, overlaps, passing, nearby)
-    square /= np.maximum(on_image.sum(axis=0), 1e-30)
+    lit *= lines.weight
+    square = np.einsum("nm,nm,nm,nm->m", lit, overlaps, passing, nearby)
+    square /= np.maximum(np.einsum("nm,nm->m", on_image, lines.weight), 1e-30)
     return BrightestPoints(*_candidates(lines, light, _SEPARATION_SIGMA * sigma_px), square)
+
+
+def _parts_on_image(lines: "_Lines", camera: Camera, outside_px: Float, sigma_px: Float | float) -> tuple[Float, Float]:
+    """Return which parts of lines are on the image, and which parts of the light of a width along them, (n, m) both.
+
+    `outside_px` (n, m): `Camera.distance_outside_px` of their middles.
+    """
+    on_image = (outside_px <= 0).astype(np.float64)
+    lit = on_image.copy()
+    half_px = np.sqrt(np.square(lines.step_px).sum(axis=0)) / 2
+    across = (np.abs(outside_px) < half_px + 4 * sigma_px).nonzero()
+    middle_px, half_step_px = lines.middle_px[:, *across].T, lines.step_px[:, *across].T / 2
+    # Inwards from the border to both ends; a line that is along it has two equal ends.
+    first, last = (-camera.distance_outside_px(at) for at in (middle_px - half_step_px, middle_px + half_step_px))
+    low, high = np.minimum(first, last) - 0.01 * sigma_px, np.maximum(first, last) + 0.01 * sigma_px
+    on_image[across] = (high / (high - low)).clip(0.0, 1.0)
+    integrals = []
+    for end in (high, low):
+        z = (end / sigma_px).astype(np.float32)
+        integrals.append(z * (normal_from_middle(z) + 0.5) + np.exp(-0.5 * z * z) / sqrt(2 * pi))
+    lit[across] = ((integrals[0] - integrals[1]) * sigma_px / (high - low)).clip(0.0, 1.0)
+    return on_image, lit
 
 
 class _Lines(NamedTuple):
