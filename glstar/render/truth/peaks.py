@@ -30,8 +30,9 @@ from glstar.render.truth.linechains import (
 )
 from glstar.sky.photometry import USUAL_BV
 
-# Lines of a path, at most: groups of neighbours if there are more.
-_MOST_LINES = 300
+# Lines of a path, at most: groups of neighbours if there are more; and as far as lines are divided.
+_MOST_LINES = 600
+_MOST_DIVIDED = 300
 # Lines that are together shorter than this, sigma, are one group.
 _SHORT_SIGMA = 1.5
 # Lines that are longer than this, sigma, are divided, because another part of the path may cross them anywhere.
@@ -45,6 +46,8 @@ _FAR_SIGMA = 5.0
 _CANDIDATES = 3
 _SEPARATION_SIGMA = 2.0
 _PROMISING = 0.85
+# Of trails of which a smaller part is on the image, the part of the light on it is not known.
+_LEAST_SHARE = 1e-6
 # Where no light is, px.
 _FAR_PX = 1e7
 # Pairs of lines that are computed at once: more of them fall out of the processor's cache.
@@ -79,15 +82,19 @@ def brightest_points(
     lines = _Lines.of(chains, sigma_px, camera)
     outside_px = camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
     on_image, lit = _parts_on_image(lines, camera, outside_px, sigma_px / sqrt(2))
-    signals, overlaps = _signals_and_overlaps(lines, sigma_px, lit > 0)
+    signals, overlaps = _signals_and_overlaps(lines, sigma_px, outside_px < _FAR_SIGMA * sigma_px)
     clouded = [transmission for transmission in transmissions if transmission is not None]
     passing = lines.means(_joined(clouded)) if clouded else np.ones_like(lines.weight)
     nearby = _smoothed(lines, passing, sigma_px, on_image) if clouded else passing
+    # Of lines beside the image, what arrives at its border.
     light: Float = np.where(lines.weight > 0, signals * nearby, 0.0)
-    light = np.where(outside_px > 0, -outside_px, light)
+    beside = (outside_px > 0).nonzero()
+    sigmas = outside_px[beside] / sigma_px
+    light[beside] = np.where(sigmas < _FAR_SIGMA, light[beside] * np.exp(-0.5 * sigmas * sigmas), -sigmas)
     lit *= lines.weight
     square = np.einsum("nm,nm,nm,nm->m", lit, overlaps, passing, nearby)
-    square /= np.maximum(np.einsum("nm,nm->m", on_image, lines.weight), 1e-30)
+    share = np.einsum("nm,nm->m", on_image, lines.weight)
+    square = np.where(share > _LEAST_SHARE, square / np.maximum(share, _LEAST_SHARE), 0.0)
     return BrightestPoints(*_candidates(lines, light, _SEPARATION_SIGMA * sigma_px), square)
 
 
@@ -136,9 +143,9 @@ class _Lines(NamedTuple):
         count = len(weight)
         on_image = length_px[camera.contains(np.moveaxis(middle_px, 0, -1))]
         usual_px, longest_px = (on_image.mean(), np.quantile(on_image, 0.95)) if on_image.size else (1.0, 1.0)
-        group = max(-(-count // _MOST_LINES), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
+        group = max(-(-count // (_MOST_LINES)), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
         if group <= 1:
-            parts = max(1, min(ceil(longest_px / (_LONG_SIGMA * sigma_px)), _MOST_LINES // count))
+            parts = max(1, min(ceil(longest_px / (_LONG_SIGMA * sigma_px)), _MOST_DIVIDED // count))
             along = np.tile((np.arange(parts) + 0.5) / parts - 0.5, count)[:, np.newaxis]
             middle_px, step_px, weight = (np.repeat(each, parts, axis=-2) for each in (middle_px, step_px, weight))
             return cls(middle_px + along * step_px, step_px / parts, weight / parts, parts=parts)
