@@ -153,7 +153,7 @@ class NearLines:
             yield cls(point[short], sigma_px, False, some.astype(np.float32))
 
     def of_points(self, points: NDArray[np.bool_]) -> Self:
-        """Return the lines near some of the points, which are numbered anew."""
+        """Return the lines near some of the points, which get new numbers."""
         some = np.flatnonzero(points[self.point])
         number = np.cumsum(points) - 1
         return replace(self, point=number[self.point[some]], lines=self.lines.take(some, axis=1))

@@ -1,7 +1,7 @@
 """Expected brightness of star trails: the signal at the brightest point, and the area that its light covers.
 
-Paths are chains of straight lines.  What each line receives from the others is summed for each star, over those blocks
-of consecutive lines that are near each other.
+Paths are chains of straight lines.  What each line receives from the others is summed for each star; around the lines
+that receive most, the signal is computed exactly.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,6 +20,7 @@ from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import psf_scale
 from glstar.render.scene.transmission import Transmission
+from glstar.render.truth.lightsums import FAR_SIGMA, Gaussians, light_sums
 from glstar.render.truth.linechains import (
     LineChain,
     NearLines,
@@ -37,10 +38,6 @@ _MOST_DIVIDED = 300
 _SHORT_SIGMA = 1.5
 # Lines that are longer than this, sigma, are divided, because another part of the path may cross them anywhere.
 _LONG_SIGMA = 4.0
-# Consecutive lines of a block.
-_BLOCK_LINES = 8
-# Blocks that are at a larger distance than this, sigma, do not count: 4e-4 of the light of wide stars.
-_FAR_SIGMA = 5.0
 # Lines of a path along which the signal is evaluated exactly; their separation, sigma; and part of the largest
 # signal at the middle of a line that they have.
 _CANDIDATES = 3
@@ -50,10 +47,6 @@ _PROMISING = 0.85
 _LEAST_SHARE = 1e-6
 # Where no light is, px.
 _FAR_PX = 1e7
-# Pairs of lines that are computed at once: more of them fall out of the processor's cache.
-_PAIRS = 32_768
-# Light that is farther than this, in units of the exponent, does not count; and smaller numbers are slow.
-_FAR_EXPONENT = np.float32(-40.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +75,7 @@ def brightest_points(
     lines = _Lines.of(chains, sigma_px, camera)
     outside_px = camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
     on_image, lit = _parts_on_image(lines, camera, outside_px, sigma_px / sqrt(2))
-    signals, overlaps = _signals_and_overlaps(lines, sigma_px, outside_px < _FAR_SIGMA * sigma_px)
+    signals, overlaps = _signals_and_overlaps(lines, sigma_px, outside_px < FAR_SIGMA * sigma_px)
     clouded = [transmission for transmission in transmissions if transmission is not None]
     passing = lines.means(_joined(clouded)) if clouded else np.ones_like(lines.weight)
     nearby = _smoothed(lines, passing, sigma_px, on_image) if clouded else passing
@@ -90,7 +83,7 @@ def brightest_points(
     light: Float = np.where(lines.weight > 0, signals * nearby, 0.0)
     beside = (outside_px > 0).nonzero()
     sigmas = outside_px[beside] / sigma_px
-    light[beside] = np.where(sigmas < _FAR_SIGMA, light[beside] * np.exp(-0.5 * sigmas * sigmas), -sigmas)
+    light[beside] = np.where(sigmas < FAR_SIGMA, light[beside] * np.exp(-0.5 * sigmas * sigmas), -sigmas)
     lit *= lines.weight
     square = np.einsum("nm,nm,nm,nm->m", lit, overlaps, passing, nearby)
     share = np.einsum("nm,nm->m", on_image, lines.weight)
@@ -234,7 +227,7 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
     own = lines.weight / np.sqrt(determinant)
     values = x, y, -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant, own
     half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0)).astype(np.float32)
-    wide, narrow = _sums(_Gaussians(*(each.astype(np.float32) for each in values)), half, on_image)
+    wide, narrow = light_sums(Gaussians(*(each.astype(np.float32) for each in values)), half, on_image)
     length2 = np.square(step).sum(axis=0)
     length = np.sqrt(np.maximum(length2, 1e-6))
     for signal, scale in ((wide, 1.0), (narrow, sqrt(2))):
@@ -243,126 +236,6 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
             signal[...] += lines.weight * (sqrt(2 * np.pi) * 2 * normal_from_middle(at / 2) / at) - own
         signal[...] *= scale * scale / (4 * np.pi * sigma_px * sigma_px)
     return narrow, wide
-
-
-class _Gaussians(NamedTuple):
-    """The lines of stars as Gaussians, (n, m) each, in the order of the path; lengths in sqrt(2) sigma."""
-
-    x: Float32  # Middles
-    y: Float32
-    a: Float32  # Coefficients of x^2, x y and y^2 in the exponents
-    b: Float32
-    c: Float32
-    height: Float32
-
-
-def _sums(lines: _Gaussians, half: Float32, is_needed: NDArray[np.bool_]) -> tuple[Float32, Float32]:
-    """Return the sums of Gaussians, and of their squares over their heights, at each middle, (n, m) both.
-
-    `half` (2, n, m): half of their extents along x and y; `is_needed` (n, m): at which middles.
-    """
-    count, stars = lines.x.shape
-    longest = np.sqrt(np.square(half).sum(axis=0)).max(axis=0, initial=0.0)
-    at_once = max(1, _PAIRS // count)
-    both = np.empty((2, count, stars), np.float32)
-    for first in range(0, stars, at_once):
-        some = slice(first, first + at_once)
-        part = _Gaussians(*(np.ascontiguousarray(each[:, some]) for each in lines))
-        sums = _of_neighbours(part, float(longest[some].max()))
-        if count > 2 * _BLOCK_LINES:
-            _add_returning(sums, part, half[:, :, some], is_needed[:, some])
-        both[:, :, some] = sums
-    return both[0], both[1]
-
-
-def _of_neighbours(lines: _Gaussians, longest: float) -> Float32:
-    """Return the sums over the lines of each line's own block and of the next ones, (2, n, m)."""
-    count = len(lines.x)
-    sums = np.stack([lines.height, lines.height])
-    far2 = np.float32((_FAR_SIGMA / sqrt(2) + longest) ** 2)
-    for separation in range(1, min(count, 2 * _BLOCK_LINES)):
-        first: NDArray[np.intp] | slice = slice(0, count - separation)
-        if separation > _BLOCK_LINES:
-            line = np.arange(count - separation)
-            first = line[line % _BLOCK_LINES + separation < 2 * _BLOCK_LINES]
-        x, y = (each[separation:][first] - each[first] for each in (lines.x, lines.y))
-        xx, yy = x * x, y * y
-        near = np.flatnonzero((xx + yy < far2).any(axis=1))
-        if not near.size:
-            continue
-        some = slice(near[0], near[-1] + 1)
-        first = first[some] if isinstance(first, np.ndarray) else some
-        xx, xy, yy = xx[some], np.multiply(x, y, out=x)[some], yy[some]
-        for to, of in ((0, separation), (separation, 0)):
-            a, b, c, height = (each[of:][first] for each in lines[2:])
-            light = a * xx
-            light += b * xy
-            light += c * yy
-            _exponential(light)
-            height = height * light
-            sums[0, to:][first] += height
-            height *= light
-            sums[1, to:][first] += height
-    return sums
-
-
-def _add_returning(sums: Float32, lines: _Gaussians, half: Float32, is_needed: NDArray[np.bool_]) -> None:
-    """Add the light of blocks that are near without being neighbours, because a path returns or crosses itself."""
-    count, stars = lines.x.shape
-    star, target, source = _near_blocks(lines, half, is_needed)
-    within = np.arange(_BLOCK_LINES)[:, np.newaxis]
-    at_once = _PAIRS // _BLOCK_LINES**2
-    for begin in range(0, len(star), at_once):
-        some = slice(begin, begin + at_once)
-        # A last block that is shorter has its last line again, without light.
-        to, of = (_BLOCK_LINES * block[some] + within for block in (target, source))
-        is_line = of < count
-        to, of = (np.minimum(line, count - 1) * stars + star[some] for line in (to, of))
-        # The pairs of blocks are the last axis: loops over a few lines are slow.
-        x, y = (each.take(to)[:, np.newaxis] - each.take(of) for each in (lines.x, lines.y))
-        a, b, c, height = (each.take(of) for each in lines[2:])
-        height *= is_line
-        exponent = b * x
-        exponent *= y
-        x *= x
-        x *= a
-        exponent += x
-        y *= y
-        y *= c
-        exponent += y
-        light = _exponential(exponent)
-        begins = np.flatnonzero(np.diff(to[0], prepend=-1))
-        to = to[:, begins]
-        for square, total in enumerate(sums.reshape(2, -1)):
-            if square:
-                light *= light
-            # Without OpenBLAS, whose rounding depends on how many threads it has.
-            total[to] += np.add.reduceat(np.einsum("tsp,sp->tp", light, height), begins, axis=1)
-
-
-def _near_blocks(
-    lines: _Gaussians, half: Float32, is_needed: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return the stars, blocks that need light and blocks near them, but not next to them, (p,) each."""
-    starts = np.arange(0, len(lines.x), _BLOCK_LINES)
-    needed = np.logical_or.reduceat(is_needed, starts, axis=0).T
-    number = np.arange(len(starts))
-    is_near = needed[:, :, np.newaxis] & (np.abs(number[:, np.newaxis] - number) > 1)
-    for middle, extent in zip((lines.x, lines.y), half, strict=True):
-        low = np.minimum.reduceat(middle - extent, starts, axis=0).T
-        high = np.maximum.reduceat(middle + extent, starts, axis=0).T
-        is_reached = low[:, :, np.newaxis] < high[:, np.newaxis] + np.float32(_FAR_SIGMA / sqrt(2))
-        is_near &= is_reached
-        is_near &= is_reached.swapaxes(1, 2)
-    star, target, source = is_near.nonzero()
-    return star, target, source
-
-
-def _exponential(exponent: Float32) -> Float32:
-    """Return the exponential function of negative numbers, in their place."""
-    # Rounding may exceed 0 beside very long lines.
-    np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
-    return np.exp(exponent, out=exponent)
 
 
 @dataclass(frozen=True, slots=True)
