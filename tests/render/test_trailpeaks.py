@@ -1,6 +1,7 @@
 """Expected peaks and areas of the trails of rough flights, against brute force along their true paths."""
 
 from dataclasses import replace
+from math import erf
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from glstar.telemetry import open_flight
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
 LENS = camera(1014, 760, 967.7425)
+LAST_PX = np.array([1013.5, 759.5])
 EXPOSURE = Exposure(NIGHT_UTC_S + 0.213, 0.5, trail="analytic")
 SAMPLES, STEP, STARS = 2400, 8, 24
 # Points from which the peak is climbed, and steps of each.
@@ -37,19 +39,29 @@ def shaken(deg: float, seed: int) -> Simulator:
 def brute_force(path_px: np.ndarray, sigma_px: float) -> tuple[float, float]:
     """Return the largest signal of a path on the image over its flux, and the area of its part on the image."""
     point_px = path_px[::STEP]
-    square_px2 = ((point_px[:, np.newaxis] - path_px) ** 2).sum(axis=-1)
-    signal, overlap = (
-        np.exp(square_px2 / (-2 * width_px2)).mean(axis=1) / (2 * np.pi * width_px2)
-        for width_px2 in (sigma_px**2, 2 * sigma_px**2)
-    )
-    on_image = LENS.contains(point_px)
+    # Of a path beside the image the border is brightest.
+    place_px = point_px.clip(-0.5, LAST_PX)
+    square_px2 = ((place_px[:, np.newaxis] - path_px) ** 2).sum(axis=-1)
+    signal = np.exp(square_px2 / (-2 * sigma_px**2)).mean(axis=1) / (2 * np.pi * sigma_px**2)
     # Between two parts of the path there may be more light than on either: mean shifts climb there.
-    top_px = point_px[on_image][np.argsort(signal[on_image])[-_CLIMBED:]]
+    top_px = place_px[np.argsort(signal)[-_CLIMBED:]]
     for _ in range(_STEPS):
         near = np.exp(((top_px[:, np.newaxis] - path_px) ** 2).sum(axis=-1) / (-2 * sigma_px**2))
-        top_px = ((near @ path_px) / near.sum(axis=1, keepdims=True)).clip(-0.5, np.array([1013.5, 759.5]))
+        top_px = ((near @ path_px) / near.sum(axis=1, keepdims=True)).clip(-0.5, LAST_PX)
     climbed = near.mean(axis=1).max() / (2 * np.pi * sigma_px**2)
-    return max(signal[on_image].max(), climbed), on_image.mean() / (overlap * on_image).mean()
+    square_per_px2 = np.mean([_overlap_on_image(at_px, path_px, sigma_px) for at_px in point_px])
+    return max(signal.max(), climbed), LENS.contains(point_px).mean() / square_per_px2
+
+
+def _overlap_on_image(at_px: np.ndarray, path_px: np.ndarray, sigma_px: float) -> float:
+    """Return the mean of the light that two stars share on the image, 1/px^2: one at a point, one on a path."""
+    near_px = path_px[((path_px - at_px) ** 2).sum(axis=1) < (12 * sigma_px) ** 2]
+    shared = np.exp(((near_px - at_px) ** 2).sum(axis=1) / (-4 * sigma_px**2)) / (4 * np.pi * sigma_px**2)
+    # Their product is a Gaussian in the middle between them, whose width is that of a star over sqrt(2).
+    z = np.array([-0.5 - (near_px + at_px) / 2, LAST_PX - (near_px + at_px) / 2]) / sigma_px
+    inside = np.sign(z)
+    inside[np.abs(z) < 5] = [erf(at) for at in z[np.abs(z) < 5]]
+    return float((shared * ((inside[1] - inside[0]) / 2).prod(axis=1)).sum() / len(path_px))
 
 
 @pytest.mark.parametrize(
@@ -87,6 +99,31 @@ def test_expected_peaks_and_areas_of_rough_flights_are_those_of_brute_force(deg,
     assert peak_errors.max() < 0.02
     assert np.median(area_errors) < 0.005
     assert np.quantile(area_errors, 0.9) < 0.02
+
+
+def test_stars_beside_the_border_are_brightest_on_it() -> None:
+    """Half of their trails and more is beside the image; the brightest place is often the border itself."""
+    errors = []
+    for seed in (0,):
+        simulator = shaken(0.3, seed=seed)
+        scene = simulator.scene(EXPOSURE)
+        statistics = TrailStatistics(scene)
+        across = np.flatnonzero((statistics.on_image > 0.1) & (statistics.on_image < 0.6))
+        listed_eq = scene.stars.direction_eq[scene.visible[across]]
+        peaks, sigma_px = trail_peaks(scene, listed_eq), scene.sensor.effective_sigma_px
+        exact = simulator.scene(replace(EXPOSURE, path_tolerance_px=0.0))
+        paths_px = recorded_positions(exact, listed_eq, (np.arange(SAMPLES) + 0.5) / SAMPLES)
+        for star, path_px in enumerate(np.moveaxis(paths_px, 1, 0)):
+            if np.isfinite(path_px).all():
+                peak, area_px2 = brute_force(path_px, sigma_px)
+                errors.append((peaks.peak_fraction_per_px2[star] / peak - 1, peaks.area_px2[star] / area_px2 - 1))
+
+    assert len(errors) > 10
+    peak_errors, area_errors = np.abs(errors).T
+    assert np.median(peak_errors) < 0.003
+    assert peak_errors.max() < 0.03
+    assert np.median(area_errors) < 0.01
+    assert np.quantile(area_errors, 0.9) < 0.05
 
 
 @pytest.mark.parametrize(("duration_s", "within"), [(0.5, 0.003), (2.0, 0.01), (6.0, 0.02)])

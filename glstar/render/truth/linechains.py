@@ -1,13 +1,14 @@
 """Paths of stars as chains of straight lines, and the signal that the lines leave at a point."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, Self
+from dataclasses import dataclass, replace
+from math import pi, sqrt
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float
+from glstar.arrays import Float, Float32
 from glstar.render.motion.trailmodels import AnalyticSegments, TrailModel
 from glstar.render.readout.rows import OpenPath, RecordedTimes
 from glstar.render.readout.stacking import StackedTrails
@@ -21,6 +22,8 @@ _MIN_PARTS = 16
 _SHORT_SIGMA = 1.0
 # Lines whose ends are farther than this, sigma, add less than 1e-5.
 _FAR_SIGMA = 5.0
+# Pairs of lines and places that are computed at once: more of them fall out of the processor's cache.
+_AT_ONCE = 32_768
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +85,7 @@ class LineChain:
         reach = self.length_px / 2
         reach += reach_px
         reach *= reach
-        is_near = _square_distance(self.middle_px, *point_px.T) < reach
+        is_near = square_distance_px2(self.middle_px, *point_px.T) < reach
         if self.hidden is not None:
             is_near &= ~self.hidden
         line, star = is_near.nonzero()
@@ -91,43 +94,112 @@ class LineChain:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearLines:
-    """Lines that are near a point of their star, for Gaussians of one width."""
+    """Lines that are near points, one of each star, and all long or all short, for Gaussians of one width.
 
-    star: NDArray[np.intp]  # (p,) the star of each line
+    There are p lines; lengths are in sigma.
+    """
+
+    point: NDArray[np.intp]  # (p,) the point of each line
     sigma_px: float
-    middle_px: tuple[Float, Float]  # (p,) columns and rows of their middles, px
-    along: tuple[Float, Float]  # (p,) columns and rows of unit vectors along them
-    length_px: Float  # (p,) their lengths, px
-    weight: Float  # (p,) the fraction of the star's flux
-    transmission: Float | None  # (p,) what reaches the camera during each line; None for all
+    is_long: bool
+    # (6, p): columns and rows of their middles, from the point; columns and rows of unit vectors along them; half of
+    # the lengths of long lines, or 1 over the variance along short ones, which are Gaussians; the height of the density
+    # along a line, with the fraction of the star's flux that arrives, 1/px^2.
+    lines: Float32
 
     @classmethod
     def of(
-        cls, chain: LineChain, point_px: Float, reach_px: Float, sigma_px: float, transmission: Float | None
-    ) -> Self:
-        """Return the lines of a chain that are near a point of their star, (m, 2) px.
+        cls,
+        chain: LineChain,
+        points: Stars,
+        point_px: Float,
+        reach_px: Float,
+        sigma_px: float,
+        passing: Float | float,
+    ) -> Iterator[Self]:
+        """Yield the long and the short lines of a chain that are near a point of their star, (m, 2) px.
 
-        `reach_px` (m,): how far from the point the signal is evaluated; `transmission` (n, m).
+        `points`: the numbers of the points; `reach_px` (m,): how far from them the signal is evaluated; `passing`
+        (n, m) or float: which fraction of the flux arrives during each line.
         """
         near, star = chain.near(point_px, reach_px + _FAR_SIGMA * sigma_px)
-        length_px = chain.length_px.ravel().take(near)
-        if chain.recorded is None:
-            weight = chain.duration.take(near // chain.length_px.shape[1])
-        else:
-            weight = chain.recorded.ravel().take(near)
-        shortest_px = np.maximum(length_px, 1e-9)
-        along_x, along_y = (step.ravel().take(near) / shortest_px for step in chain.step_px)
-        middle_x, middle_y = (middle.ravel().take(near) for middle in chain.middle_px)
-        passing = None if transmission is None else transmission.ravel().take(near)
-        return cls(star, sigma_px, (middle_x, middle_y), (along_x, along_y), length_px, weight, passing)
+        length_px = np.maximum(chain.length_px.ravel().take(near), 1e-9)
+        light = chain.duration.take(near // chain.length_px.shape[1])
+        if chain.recorded is not None:
+            light = chain.recorded.ravel().take(near)
+        light = light * (passing if isinstance(passing, float) else passing.ravel().take(near))
+        lines = np.stack(
+            [
+                *(
+                    (px.ravel().take(near) - at.take(star)) / sigma_px
+                    for px, at in zip(chain.middle_px, point_px.T, strict=True)
+                ),
+                *(px.ravel().take(near) / length_px for px in chain.step_px),
+                length_px / sigma_px,
+                light / (sqrt(2 * pi) * sigma_px**2),
+            ]
+        )
+        point = star if isinstance(points, slice) else points[star]
+        is_long = lines[4] >= _SHORT_SIGMA
+        if (long := np.flatnonzero(is_long)).size:
+            some = lines.take(long, axis=1)
+            some[5] /= some[4]
+            some[4] /= 2
+            yield cls(point[long], sigma_px, True, some.astype(np.float32))
+        if (short := np.flatnonzero(~is_long)).size:
+            some = lines.take(short, axis=1)
+            some[4] = 1 / (1 + some[4] * some[4] / 12)
+            some[5] *= np.sqrt(some[4] / (2 * pi))
+            yield cls(point[short], sigma_px, False, some.astype(np.float32))
 
-    @property
-    def signal(self) -> "SignalOfLines":
-        """Their signal as a function of the point."""
-        return SignalOfLines(self, _Density.of(np.maximum(self.length_px, 1e-9) / self.sigma_px))
+    def of_points(self, points: NDArray[np.bool_]) -> Self:
+        """Return the lines near some of the points, which get new numbers."""
+        some = np.flatnonzero(points[self.point])
+        number = np.cumsum(points) - 1
+        return replace(self, point=number[self.point[some]], lines=self.lines.take(some, axis=1))
+
+    def signal(self, x_px: Float, y_px: Float) -> Float:
+        """Return the signal of stars at some places around their points, over their flux, (k, m) 1/px^2.
+
+        `x_px` and `y_px` (k, m): from the points.
+        """
+        x, y = ((off_px / self.sigma_px).astype(np.float32) for off_px in (x_px, y_px))
+        places, count = x.shape
+        signal = np.zeros(x.size)
+        at_once = max(1, _AT_ONCE // places)
+        for first in range(0, len(self.point), at_once):
+            some = slice(first, first + at_once)
+            point = self.point[some]
+            light = self._light(x.take(point, axis=1), y.take(point, axis=1), some)
+            place = point + count * np.arange(places)[:, np.newaxis]
+            signal += np.bincount(place.ravel(), light.ravel(), minlength=len(signal))
+        return signal.reshape(places, count)
+
+    def _light(self, x: Float32, y: Float32, some: slice) -> Float32:
+        """Return the light of some lines at offsets from their points, (k, p)."""
+        middle_x, middle_y, along_x, along_y, extent, height = self.lines[:, some]
+        x -= middle_x
+        y -= middle_y
+        s, across = x * along_x, x * along_y
+        s += y * along_y
+        y *= along_x
+        across -= y
+        across *= across
+        if not self.is_long:
+            s *= s
+            s *= extent
+            across += s
+        across *= np.float32(-0.5)
+        light: Float32 = np.exp(across, out=across)
+        if self.is_long:
+            after, before = normal_from_middle(np.stack([s + extent, s - extent]))
+            after -= before
+            light *= after
+        light *= height
+        return light
 
 
-def _square_distance(middle_px: Sequence[Float] | Float, x_px: Float, y_px: Float) -> Float:
+def square_distance_px2(middle_px: Sequence[Float] | Float, x_px: Float, y_px: Float) -> Float:
     """Return the squared distances of middles of lines from points, square px."""
     distance2 = middle_px[0] - x_px
     distance2 *= distance2
@@ -135,86 +207,6 @@ def _square_distance(middle_px: Sequence[Float] | Float, x_px: Float, y_px: Floa
     down *= down
     distance2 += down
     return distance2
-
-
-class SignalOfLines(NamedTuple):
-    """The signal of lines that are near a point of their star, as a function of the point."""
-
-    lines: NearLines
-    density: "_Density"
-
-    def at(self, point_px: Float) -> Float:
-        """Return the signal of stars at a point each, (m, 2) px, over their flux, (m,) 1/px^2."""
-        lines = self.lines
-        off_x, off_y = (at.take(lines.star) for at in point_px.T)
-        off_x -= lines.middle_px[0]
-        off_y -= lines.middle_px[1]
-        off_x /= lines.sigma_px
-        off_y /= lines.sigma_px
-        along_x, along_y = lines.along
-        s, across = off_x * along_x, off_x * along_y
-        off_x = off_y * along_y
-        s += off_x
-        off_y *= along_x
-        across -= off_y
-        signal = self.density.at(s)
-        signal *= lines.weight
-        signal *= _half_square_exponential(across)
-        if lines.transmission is not None:
-            signal *= lines.transmission
-        summed = np.bincount(lines.star, signal, minlength=len(point_px))
-        return np.asarray(summed / (np.sqrt(2 * np.pi) * lines.sigma_px**2))
-
-
-class _Density(NamedTuple):
-    """The light of lines along them; lengths in sigma."""
-
-    short: NDArray[np.intp] | None  # Indices of short lines and of the others; None for all of a kind
-    long: NDArray[np.intp] | None
-    variance: Float  # Of short lines, square sigma
-    height: Float  # Square roots of 2 pi times the variances
-    length: Float  # Of the others, sigma
-    half: Float  # Half of these
-
-    @classmethod
-    def of(cls, length: Float) -> Self:
-        """Return that of lines of some lengths, (p,)."""
-        is_short = length < _SHORT_SIGMA
-        short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
-        is_mixed = short.size and long.size
-        of_short, of_long = (
-            (length.take(short), length.take(long)) if is_mixed else (length[: short.size], length[: long.size])
-        )
-        variance = 1 + of_short * of_short / 12
-        return cls(
-            short if is_mixed else None,
-            long if is_mixed else None,
-            variance,
-            np.sqrt(2 * np.pi * variance),
-            of_long,
-            of_long / 2,
-        )
-
-    def at(self, s: Float) -> Float:
-        """Return the light per sigma at distances from the middles of the lines, (p,)."""
-        if self.short is None or self.long is None:
-            return self._of_long(s) if self.length.size else self._of_short(s)
-        density = np.empty_like(s)
-        density[self.short] = self._of_short(s.take(self.short))
-        density[self.long] = self._of_long(s.take(self.long))
-        return density
-
-    def _of_short(self, s: Float) -> Float:
-        density = -0.5 * s
-        density *= s
-        density /= self.variance
-        np.exp(density, out=density)
-        density /= self.height
-        return density
-
-    def _of_long(self, s: Float) -> Float:
-        after, before = normal_cumulative(np.stack([s + self.half, s - self.half]))
-        return np.asarray((after - before) / self.length)
 
 
 def line_chains(
@@ -278,25 +270,21 @@ def _while_open(
     return xy_px, duration, open_s
 
 
-def normal_cumulative(z: Float) -> Float:
-    """Return the cumulative distribution of the unit Gaussian to 1e-7: Abramowitz & Stegun, 26.2.17."""
-    t = np.abs(z)
-    t *= 0.2316419
+def normal_from_middle(z: Float32) -> Float32:
+    """Return the integral of the unit Gaussian from 0 to z, to 3e-7: Abramowitz & Stegun, 26.2.17."""
+    # Farther out the tail is below 1e-9, and its exponential would be a slow, tiny number.
+    distance = np.minimum(np.abs(z), np.float32(6.0))
+    t = distance * np.float32(0.2316419)
     t += 1
     np.divide(1, t, out=t)
-    polynomial = t * 1.330274429
+    tail = t * np.float32(1.330274429)
     for coefficient in (-1.821255978, 1.781477937, -0.356563782, 0.319381530):
-        polynomial += coefficient
-        polynomial *= t
-    tail = _half_square_exponential(z) / np.sqrt(2 * np.pi)
-    tail *= polynomial
-    cumulative = np.asarray(1 - tail)
-    np.copyto(cumulative, tail, where=z < 0)
-    return cumulative
-
-
-def _half_square_exponential(z: Float) -> Float:
-    """Return exp(-z^2 / 2)."""
-    exponential = -0.5 * z
-    exponential *= z
-    return np.exp(exponential, out=exponential)
+        tail += np.float32(coefficient)
+        tail *= t
+    distance *= distance
+    distance *= np.float32(-0.5)
+    tail *= np.exp(distance, out=distance)
+    tail *= np.float32(1 / sqrt(2 * pi))
+    np.subtract(np.float32(0.5), tail, out=tail)
+    integral: Float32 = np.copysign(tail, z, out=tail)
+    return integral

@@ -1,14 +1,14 @@
 """Expected brightness of star trails: the signal at the brightest point, and the area that its light covers.
 
-Paths are chains of straight lines.  What each line receives from the others is summed for each star, over those blocks
-of consecutive lines that are near each other.
+Paths are chains of straight lines.  What each line receives from the others is summed for each star; around the lines
+that receive most, the signal is computed exactly.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, sqrt
-from typing import Any, NamedTuple, Self
+from math import ceil, pi, sqrt
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,37 +20,33 @@ from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import psf_scale
 from glstar.render.scene.transmission import Transmission
+from glstar.render.truth.lightsums import FAR_SIGMA, Gaussians, light_sums
 from glstar.render.truth.linechains import (
     LineChain,
     NearLines,
-    SignalOfLines,
     Stars,
     line_chains,
-    normal_cumulative,
+    normal_from_middle,
+    square_distance_px2,
 )
 from glstar.sky.photometry import USUAL_BV
 
-# Lines of a path, at most: groups of neighbours if there are more.
-_MOST_LINES = 300
+# Lines of a path, at most: groups of neighbours if there are more; and as far as lines are divided.
+_MOST_LINES = 600
+_MOST_DIVIDED = 300
 # Lines that are together shorter than this, sigma, are one group.
 _SHORT_SIGMA = 1.5
 # Lines that are longer than this, sigma, are divided, because another part of the path may cross them anywhere.
-_LONG_SIGMA = 6.0
-# Consecutive lines of a block.
-_BLOCK_LINES = 8
-# Blocks that are at a larger distance than this, sigma, do not count: 4e-4 of the light of wide stars.
-_FAR_SIGMA = 5.0
+_LONG_SIGMA = 4.0
 # Lines of a path along which the signal is evaluated exactly; their separation, sigma; and part of the largest
 # signal at the middle of a line that they have.
 _CANDIDATES = 3
 _SEPARATION_SIGMA = 2.0
 _PROMISING = 0.85
+# Of trails of which a smaller part is on the image, the part of the light on it is not known.
+_LEAST_SHARE = 1e-6
 # Where no light is, px.
 _FAR_PX = 1e7
-# Pairs of lines that are computed at once: more of them fall out of the processor's cache.
-_PAIRS = 32_768
-# Light that is farther than this, in units of the exponent, does not count; and smaller numbers are slow.
-_FAR_EXPONENT = np.float32(-40.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,17 +74,43 @@ def brightest_points(
     """
     lines = _Lines.of(chains, sigma_px, camera)
     outside_px = camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
-    on_image = (outside_px <= 0).astype(np.float64)
-    signals, overlaps = _signals_and_overlaps(lines, sigma_px, on_image > 0)
+    on_image, lit = _parts_on_image(lines, camera, outside_px, sigma_px / sqrt(2))
+    signals, overlaps = _signals_and_overlaps(lines, sigma_px, outside_px < FAR_SIGMA * sigma_px)
     clouded = [transmission for transmission in transmissions if transmission is not None]
     passing = lines.means(_joined(clouded)) if clouded else np.ones_like(lines.weight)
     nearby = _smoothed(lines, passing, sigma_px, on_image) if clouded else passing
+    # Of lines beside the image, what arrives at its border.
     light: Float = np.where(lines.weight > 0, signals * nearby, 0.0)
-    light = np.where(outside_px > 0, -outside_px, light)
-    on_image *= lines.weight
-    square = np.einsum("nm,nm,nm,nm->m", on_image, overlaps, passing, nearby)
-    square /= np.maximum(on_image.sum(axis=0), 1e-30)
+    beside = (outside_px > 0).nonzero()
+    sigmas = outside_px[beside] / sigma_px
+    light[beside] = np.where(sigmas < FAR_SIGMA, light[beside] * np.exp(-0.5 * sigmas * sigmas), -sigmas)
+    lit *= lines.weight
+    square = np.einsum("nm,nm,nm,nm->m", lit, overlaps, passing, nearby)
+    share = np.einsum("nm,nm->m", on_image, lines.weight)
+    square = np.where(share > _LEAST_SHARE, square / np.maximum(share, _LEAST_SHARE), 0.0)
     return BrightestPoints(*_candidates(lines, light, _SEPARATION_SIGMA * sigma_px), square)
+
+
+def _parts_on_image(lines: "_Lines", camera: Camera, outside_px: Float, sigma_px: Float | float) -> tuple[Float, Float]:
+    """Return which parts of lines are on the image, and which parts of the light of a width along them, (n, m) both.
+
+    `outside_px` (n, m): `Camera.distance_outside_px` of their middles.
+    """
+    on_image = (outside_px <= 0).astype(np.float64)
+    lit = on_image.copy()
+    half_px = np.sqrt(np.square(lines.step_px).sum(axis=0)) / 2
+    across = (np.abs(outside_px) < half_px + 4 * sigma_px).nonzero()
+    middle_px, half_step_px = lines.middle_px[:, *across].T, lines.step_px[:, *across].T / 2
+    # Inwards from the border to both ends; a line that is along it has two equal ends.
+    first, last = (-camera.distance_outside_px(at) for at in (middle_px - half_step_px, middle_px + half_step_px))
+    low, high = np.minimum(first, last) - 0.01 * sigma_px, np.maximum(first, last) + 0.01 * sigma_px
+    on_image[across] = (high / (high - low)).clip(0.0, 1.0)
+    integrals = []
+    for end in (high, low):
+        z = (end / sigma_px).astype(np.float32)
+        integrals.append(z * (normal_from_middle(z) + 0.5) + np.exp(-0.5 * z * z) / sqrt(2 * pi))
+    lit[across] = ((integrals[0] - integrals[1]) * sigma_px / (high - low)).clip(0.0, 1.0)
+    return on_image, lit
 
 
 class _Lines(NamedTuple):
@@ -114,9 +136,9 @@ class _Lines(NamedTuple):
         count = len(weight)
         on_image = length_px[camera.contains(np.moveaxis(middle_px, 0, -1))]
         usual_px, longest_px = (on_image.mean(), np.quantile(on_image, 0.95)) if on_image.size else (1.0, 1.0)
-        group = max(-(-count // _MOST_LINES), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
+        group = max(-(-count // (_MOST_LINES)), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
         if group <= 1:
-            parts = max(1, min(ceil(longest_px / (_LONG_SIGMA * sigma_px)), _MOST_LINES // count))
+            parts = max(1, min(ceil(longest_px / (_LONG_SIGMA * sigma_px)), _MOST_DIVIDED // count))
             along = np.tile((np.arange(parts) + 0.5) / parts - 0.5, count)[:, np.newaxis]
             middle_px, step_px, weight = (np.repeat(each, parts, axis=-2) for each in (middle_px, step_px, weight))
             return cls(middle_px + along * step_px, step_px / parts, weight / parts, parts=parts)
@@ -179,8 +201,8 @@ def _candidates(lines: _Lines, signals: Float, separation_px: float) -> tuple[Fl
         if not is_promising.any():
             break
         chosen.append((np.where(is_promising[:, np.newaxis], middle_px, _FAR_PX), step_px))
-        near = np.square(lines.middle_px - middle_px.T[:, np.newaxis]).sum(axis=0) < separation_px * separation_px
-        signals[near] = -np.inf
+        near = square_distance_px2(lines.middle_px, *middle_px.T) < separation_px * separation_px
+        signals[near.nonzero()] = -np.inf  # for few of many, faster than by the mask
     middles_px, steps_px = zip(*chosen, strict=True)
     return np.stack(middles_px), np.stack(steps_px)
 
@@ -194,112 +216,26 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
     3 %, and for the others of that which makes their signal the square of the wide one.  Groups of lines are Gaussians
     of twice their variance, because the mean over another group that is alike is sought, not the signal at its middle.
     """
-    blocks = _Blocks.of(lines, sigma_px, on_image)
-    wide, narrow = blocks.sums()
-    length2 = np.square(lines.step_px / (sqrt(2) * sigma_px)).sum(axis=0).astype(np.float32)
-    own = lines.weight / np.sqrt(blocks.determinant)
+    x, y = (lines.middle_px - lines.middle_px[:, :1]) / (sqrt(2) * sigma_px)  # single precision begins here
+    step_x, step_y = step = (lines.step_px / (sqrt(2) * sigma_px)).astype(np.float32)
+    if lines.spread_px2 is None:
+        xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
+        determinant = 1 + xx + yy
+    else:
+        xx, xy, yy = lines.spread_px2 / sigma_px**2
+        determinant = np.maximum((1 + xx) * (1 + yy) - xy * xy, 1.0)
+    own = lines.weight / np.sqrt(determinant)
+    values = x, y, -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant, own
+    half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0)).astype(np.float32)
+    wide, narrow = light_sums(Gaussians(*(each.astype(np.float32) for each in values)), half, on_image)
+    length2 = np.square(step).sum(axis=0)
     length = np.sqrt(np.maximum(length2, 1e-6))
     for signal, scale in ((wide, 1.0), (narrow, sqrt(2))):
         at = scale * length
         if lines.spread_px2 is None:
-            signal[...] += lines.weight * (sqrt(2 * np.pi) * (2 * normal_cumulative(at / 2) - 1) / at) - own
+            signal[...] += lines.weight * (sqrt(2 * np.pi) * 2 * normal_from_middle(at / 2) / at) - own
         signal[...] *= scale * scale / (4 * np.pi * sigma_px * sigma_px)
     return narrow, wide
-
-
-class _Blocks(NamedTuple):
-    """Blocks of consecutive lines of stars, as Gaussians: k blocks of some lines each; lengths in sqrt(2) sigma."""
-
-    at: Float32  # (k, 2, size) middles
-    # (k, 4, size) coefficients of x^2, x y and y^2 in the exponents, and the heights
-    gaussians: Float32
-    bounds: tuple[Float32, Float32]  # (2, m, blocks) smallest and largest x and y
-    is_needed: NDArray[np.bool_]  # (m, blocks)
-    determinant: Float32  # (n, m)
-
-    @classmethod
-    def of(cls, lines: _Lines, sigma_px: float, on_image: NDArray[np.bool_]) -> Self:
-        """Return the blocks of lines."""
-        from_start_px = lines.middle_px - lines.middle_px[:, :1]  # single precision begins here
-        (x, y), (step_x, step_y) = (
-            (px / (sqrt(2) * sigma_px)).astype(np.float32) for px in (from_start_px, lines.step_px)
-        )
-        if lines.spread_px2 is None:
-            xx, xy, yy = (one * other / 12 for one, other in ((step_x, step_x), (step_x, step_y), (step_y, step_y)))
-            determinant = 1 + xx + yy
-        else:
-            xx, xy, yy = lines.spread_px2 / sigma_px**2
-            determinant = np.maximum((1 + xx) * (1 + yy) - xy * xy, 1.0).astype(np.float32)
-            xx, xy, yy = (each.astype(np.float32) for each in (xx, xy, yy))
-        height = lines.weight.astype(np.float32) / np.sqrt(determinant)
-        size = len(x) if len(x) <= 4 * _BLOCK_LINES else _BLOCK_LINES
-        half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0))
-        low, high = (_in_blocks(each, size) for each in (np.stack([x, y]) - half, np.stack([x, y]) + half))
-        a, b, c = -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant
-        at = np.stack([_in_blocks(each, size) for each in (x, y)], axis=2).reshape(-1, 2, size)
-        padded = [_in_blocks(each, size, repeat=each is not height) for each in (a, b, c, height)]
-        gaussians = np.stack(padded, axis=2).reshape(-1, 4, size)
-        is_needed = np.asarray(_in_blocks(on_image, size).any(axis=-1))
-        return cls(at, gaussians, (low.min(axis=-1), high.max(axis=-1)), is_needed, determinant)
-
-    def sums(self) -> tuple[Float32, Float32]:
-        """Return the sums of Gaussians, and of their squares over their heights, at each middle, (n, m) both."""
-        stars, count = self.is_needed.shape
-        size = self.at.shape[2]
-        both, at_once = np.zeros((len(self.at), 2, size), np.float32), max(1, _PAIRS // size**2)
-        for target, source in self._near(max(1, 8 * _PAIRS // count**2)):
-            for first in range(0, len(target), at_once):
-                to, of = target[first : first + at_once], source[first : first + at_once]
-                # The pairs of blocks are the last axis: loops over a few lines are slow.
-                (to_x, to_y), (of_x, of_y), (a, b, c, height) = (
-                    np.ascontiguousarray(np.moveaxis(each.take(blocks, axis=0), 0, -1))
-                    for each, blocks in ((self.at, to), (self.at, of), (self.gaussians, of))
-                )
-                dx, dy = to_x[:, np.newaxis] - of_x, to_y[:, np.newaxis] - of_y
-                exponent = a * dx
-                exponent += b * dy
-                exponent *= dx
-                dy *= dy
-                dy *= c
-                exponent += dy
-                # Rounding may exceed 0 beside very long lines.
-                np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
-                np.exp(exponent, out=exponent)
-                sums = np.empty((2, size, len(to)), np.float32)
-                for total in sums:
-                    # Without OpenBLAS, whose rounding depends on how many threads it has.
-                    np.multiply(exponent, height, out=dx).sum(axis=1, out=total)
-                    exponent *= exponent
-                begins = np.flatnonzero(np.diff(to, prepend=-1))
-                both[to[begins]] += np.add.reduceat(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), begins, axis=0)
-        lines = len(self.determinant)
-        wide, narrow = (np.ascontiguousarray(both[:, kind].reshape(stars, -1)[:, :lines].T) for kind in (0, 1))
-        return wide, narrow
-
-    def _near(self, stars_at_once: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Yield the rows of blocks that need light, and those of blocks near them, (p,) both, some stars at a time."""
-        count = self.is_needed.shape[1]
-        for first in range(0, len(self.is_needed), stars_at_once):
-            stars = slice(first, first + stars_at_once)
-            is_near = np.repeat(self.is_needed[stars, :, np.newaxis], count, axis=2)
-            for low, high in zip(*(bound[:, stars] for bound in self.bounds), strict=True):
-                is_reached = low[:, :, np.newaxis] < high[:, np.newaxis] + np.float32(_FAR_SIGMA / sqrt(2))
-                is_near &= is_reached
-                is_near &= is_reached.swapaxes(1, 2)
-            star, target, source = is_near.nonzero()
-            star += first
-            star *= count
-            yield star + target, star + source
-
-
-def _in_blocks(values: NDArray[Any], size: int, *, repeat: bool = True) -> NDArray[Any]:
-    """Return values of lines, (..., n, m), by star and by block, (..., m, blocks, size); a last block is filled."""
-    values = np.moveaxis(values, -2, -1)
-    missing = -values.shape[-1] % size
-    if missing:
-        rest = np.repeat(values[..., -1:], missing, axis=-1) if repeat else np.zeros((*values.shape[:-1], missing))
-        values = np.concatenate([values, rest.astype(values.dtype)], axis=-1)
-    return np.ascontiguousarray(values).reshape(*values.shape[:-1], -1, size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,10 +285,16 @@ def trail_peaks(
     return TrailPeaks(peak, _area_over_core(scene.sensor, scales, dimmed) * area_px2)
 
 
-# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; and then how
-# far around the best point, sigma.
-_ALONG = (0.0, -0.25, 0.25, -0.5, 0.5)
+# Where along the lines of candidates the signal is evaluated, from their middles, parts of their length; then around
+# the best place, at these steps, (2, 5), and of these lengths, sigma.
+_ALONG = np.array([0.0, -0.25, 0.25, -0.5, 0.5])[:, np.newaxis]
+_AROUND = np.array([[-1, 1, 0, 0, 1], [0, 0, -1, 1, 1]])[..., np.newaxis]
 _AROUND_SIGMA = (0.6, 0.3)
+# It is not evaluated around places with a smaller part than this of the signal of a star's best place, nor where it
+# is the same along the line, largest over smallest, and on both of its sides, logarithm of the ratio: gains of 0.1 %.
+_WORTHWHILE = 0.9
+_EVEN = 1.003
+_SYMMETRIC = 0.05
 
 
 class _Part(NamedTuple):
@@ -363,73 +305,91 @@ class _Part(NamedTuple):
     stars: Stars
     gaussians: list[tuple[float, float, Float]]
 
-    def near(self, point_px: Float, reach_px: Float) -> list[SignalOfLines]:
-        """Return for each Gaussian the lines that matter near a point of each star of the scene, (m, 2) and (m,) px."""
+    def near(self, point_px: Float, reach_px: Float) -> Iterator[NearLines]:
+        """Yield the lines near a point of each star of the scene, (m, 2) and (m,) px."""
         point_px, reach_px = point_px[self.stars], reach_px[self.stars]
-        return [
-            NearLines.of(self.chain, point_px - offset_px, reach_px, sigma_px, self.transmission).signal
-            for _, sigma_px, offset_px in self.gaussians
-        ]
-
-    def signal_at(self, point_px: Float, near: list[SignalOfLines]) -> Float:
-        """Return the signal at a point of each star of the scene, (m, 2) px, of those with this profile."""
-        signals = [
-            fraction * lines.at(point_px[self.stars] - offset_px)
-            for (fraction, _, offset_px), lines in zip(self.gaussians, near, strict=True)
-        ]
-        return signals[0] if len(signals) == 1 else np.asarray(np.sum(signals, axis=0))
+        for fraction, sigma_px, offset_px in self.gaussians:
+            passing = fraction if self.transmission is None else fraction * self.transmission
+            yield from NearLines.of(self.chain, self.stars, point_px - offset_px, reach_px, sigma_px, passing)
 
 
 class _Search:
-    """The largest signals on the image that have been found, and where."""
+    """The largest signals on the image near a line of each of m stars.
 
-    def __init__(self, camera: Camera, sigma_px: float, parts: Sequence[_Part], count: int) -> None:
-        self.largest, self.point_px = np.zeros(count), np.zeros((count, 2))
-        self._last_px = np.array([camera.width_px, camera.height_px]) - 0.5
-        self._parts, self._sigma_px = parts, sigma_px
+    Attributes
+    ----------
+    largest : (m,) array
+    may_gain : (m,) bool array
+        Whether the signal differs along the line or on its sides, so that it may be larger beside the best place.
+    """
 
-    def along(self, middle_px: Float, step_px: Float) -> None:
-        """Evaluate the signal along a line of each star, given its middle, (m, 2) px, and its step."""
-        near = self._near(middle_px, np.linalg.norm(step_px, axis=1) / 2)
-        for place in _ALONG:
-            self._signal_at(middle_px + place * step_px, near)
+    def __init__(self, sigma_px: float, near: Sequence[NearLines], limits_px: Sequence[Float]) -> None:
+        self.largest, self._best_px = np.zeros(limits_px[0].shape[-1]), np.zeros_like(limits_px[0])
+        self._sigma_px, self._near, self._limits_px = sigma_px, near, limits_px
+        self.may_gain = np.ones(len(self.largest), np.bool_)
+
+    @classmethod
+    def along(cls, camera: Camera, sigma_px: float, parts: Sequence[_Part], middle_px: Float, step_px: Float) -> Self:
+        """Search along lines, given their middles, (m, 2) px, and vectors from their starts to their ends."""
+        length_px = np.maximum(np.linalg.norm(step_px, axis=1), 1e-9)
+        along = step_px / length_px[:, np.newaxis]
+        along[length_px <= 1e-9] = 1.0, 0.0
+        length_px = np.maximum(length_px, _AROUND_SIGMA[0] * sigma_px)
+        reach_px = length_px / 2 + 3 * _AROUND_SIGMA[0] * sigma_px
+        near = [lines for part in parts for lines in part.near(middle_px, reach_px)]
+        size_px = np.array([camera.width_px, camera.height_px])
+        search = cls(sigma_px, near, [(edge - middle_px).T[:, np.newaxis] for edge in (-0.5, size_px - 0.5)])
+        (x, y), side_px = along.T, _AROUND_SIGMA[0] * sigma_px
+        along_px = np.array([x, y])[:, np.newaxis] * (length_px * _ALONG)
+        beside_px = np.array([-y, x])[:, np.newaxis] * (side_px * np.array([[-1.0], [1.0]]))
+        signal = np.maximum(search._signal_at(np.concatenate([along_px, beside_px], axis=1)), 1e-30)
+        on_line, (left, right) = signal[: len(_ALONG)], signal[len(_ALONG) :]
+        search.may_gain = (on_line.max(axis=0) > _EVEN * on_line.min(axis=0)) | (
+            np.abs(np.log(left / right)) > _SYMMETRIC
+        )
+        return search
+
+    def of(self, stars: NDArray[np.bool_]) -> "_Search":
+        """Return the search of some stars."""
+        near = [lines.of_points(stars) for lines in self._near]
+        search = _Search(self._sigma_px, near, [px[..., stars] for px in self._limits_px])
+        search.largest, search._best_px = self.largest[stars], self._best_px[..., stars]
+        return search
 
     def around(self) -> None:
-        """Evaluate the signal around the best points: a paraboloid through its logarithms has its peak elsewhere."""
-        near = self._near(self.point_px, np.full(len(self.largest), 3 * _AROUND_SIGMA[0] * self._sigma_px))
+        """Evaluate the signal around the best places: a paraboloid through its logarithms has its peak elsewhere."""
         for step_sigma in _AROUND_SIGMA:
-            step_px, at_px = step_sigma * self._sigma_px, self.point_px.copy()
-
-            def log_at(x: float, y: float, step_px: float = step_px, at_px: Float = at_px) -> Float:
-                signal = self._signal_at(at_px + step_px * np.array([x, y]), near)
-                return np.asarray(np.log(np.maximum(signal, 1e-30)))
-
-            middle, left, right, above, below, beside = (
-                log_at(*to) for to in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (1, 1))
-            )
-            slope = np.stack([right - left, below - above], axis=-1) / 2
+            step_px, at_px = step_sigma * self._sigma_px, self._best_px
+            middle = np.log(np.maximum(self.largest, 1e-30))
+            signal = self._signal_at(at_px + step_px * _AROUND)
+            left, right, above, below, beside = np.log(np.maximum(signal, 1e-30))
+            slope_x, slope_y = (right - left) / 2, (below - above) / 2
             xx, yy, xy = left + right - 2 * middle, above + below - 2 * middle, beside - right - below + middle
             determinant = xx * yy - xy * xy
             is_peak = (xx < 0) & (determinant > 1e-9)
-            towards = np.stack([xy * slope[:, 1] - yy * slope[:, 0], xy * slope[:, 0] - xx * slope[:, 1]], axis=-1)
-            towards = np.where(
-                is_peak[:, np.newaxis], towards / np.where(is_peak, determinant, 1.0)[:, np.newaxis], slope
+            scale = np.where(is_peak, determinant, 1.0)
+            towards = np.stack(
+                [
+                    np.where(is_peak, (xy * slope_y - yy * slope_x) / scale, slope_x),
+                    np.where(is_peak, (xy * slope_x - xx * slope_y) / scale, slope_y),
+                ]
             )
-            length = np.linalg.norm(towards, axis=-1, keepdims=True)
-            self._signal_at(at_px + step_px * towards * np.minimum(1.0, 2.0 / np.maximum(length, 1e-9)), near)
+            length = np.sqrt(np.square(towards).sum(axis=0))
+            towards *= step_px * np.minimum(1.0, 2.0 / np.maximum(length, 1e-9))
+            self._signal_at(at_px + towards[:, np.newaxis])
 
-    def _near(self, point_px: Float, reach_px: Float) -> list[list[SignalOfLines]]:
-        return [part.near(point_px, reach_px) for part in self._parts]
-
-    def _signal_at(self, point_px: Float, near: list[list[SignalOfLines]]) -> Float:
-        """Return the signal at a point of each star, (m, 2) px, or the nearest one of the image; keep the largest."""
-        point_px = point_px.clip(-0.5, self._last_px)
-        signal = np.zeros(len(point_px))
-        for part, lines in zip(self._parts, near, strict=True):
-            signal[part.stars] += part.signal_at(point_px, lines)
-        is_larger = signal > self.largest
-        np.copyto(self.largest, signal, where=is_larger)
-        np.copyto(self.point_px, point_px, where=is_larger[:, np.newaxis])
+    def _signal_at(self, place_px: Float) -> Float:
+        """Return the signal at places, (2, k, m) px, or the nearest ones of the image, (k, m); keep the largest."""
+        x_px, y_px = place_px = place_px.clip(*self._limits_px)
+        signal = np.zeros(x_px.shape)
+        for lines in self._near:
+            signal += lines.signal(x_px, y_px)
+        best, star = signal.argmax(axis=0), np.arange(len(self.largest))
+        is_larger = signal[best, star] > self.largest
+        best, star = best[is_larger], star[is_larger]
+        self.largest[star] = signal[best, star]
+        self._best_px = self._best_px.copy()
+        self._best_px[:, 0, star] = place_px[:, best, star]
         return signal
 
 
@@ -446,12 +406,17 @@ def _largest_signal(
         for chain, transmission in zip(chains, transmissions, strict=True)
         for stars, gaussians in profiles
     ]
-    largest = np.zeros(points.point_px.shape[1])
-    for middle_px, step_px in zip(points.point_px, points.step_px, strict=True):
-        search = _Search(scene.camera, scene.sensor.effective_sigma_px, parts, len(largest))
-        search.along(middle_px, step_px)
-        search.around()
-        np.maximum(largest, search.largest, out=largest)
+    searches = [
+        _Search.along(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px)
+        for middle_px, step_px in zip(points.point_px, points.step_px, strict=True)
+    ]
+    largest: Float = np.max([search.largest for search in searches], axis=0)
+    promising = _WORTHWHILE * largest
+    for search in searches:
+        is_worthwhile = search.may_gain & (search.largest > promising)
+        refined = search.of(is_worthwhile)
+        refined.around()
+        largest[is_worthwhile] = np.maximum(largest[is_worthwhile], refined.largest)
     return largest
 
 
