@@ -13,7 +13,7 @@ from glstar.render.scene.scene import Scene
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
 # Samples of the path of a star that crosses the border of the image, for each that its length demands: it may shake.
-_FINER = 12
+_FINER = 8
 # Side of the cells in which saturated pixels are counted, px.
 _CELL_PX = 32
 
@@ -78,8 +78,12 @@ class TrailStatistics:
             self.on_image += np.bincount(owner, weight * on_image, count)
             light = weight * touching
             self.touching += np.bincount(owner, light, count)
+            # A part of a sample is the one that is farther inside.
+            inwards = np.sign(step_px) * (touching - 1) / 2
             for axis, values_px in enumerate(samples.xy_px.T):
-                moment = np.multiply(light, values_px[samples.own], out=np.zeros_like(light), where=light > 0)
+                own_px, change_px = samples.own_values(values_px)
+                own_px += np.nan_to_num(inwards * change_px)
+                moment = np.multiply(light, own_px, out=np.zeros_like(light), where=light > 0)
                 self.sum_xy[axis] += np.bincount(owner, moment, count)
 
     def _add_samples(self, scene: Scene, paths: SampledPaths) -> None:
