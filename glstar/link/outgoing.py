@@ -20,6 +20,7 @@ age of such messages for the link's delay, so that a constant delay of the solve
 """
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from ipaddress import ip_address
 from math import hypot, inf, isfinite, nan, pi
@@ -29,7 +30,8 @@ import numpy as np
 
 from glstar.errors import ConfigError
 from glstar.link.endpoint import Endpoint
-from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GPS_TYPES, MessageId, dialect
+from glstar.link.history import SIMULATOR_MESSAGES
+from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, GPS_TYPES, RATES_HZ, MessageId, dialect
 from glstar.link.receiver import Receiver
 from glstar.sky.place.site import Site, north_east_of, surface_offset_km
 from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, format_utc, tai_minus_utc_s
@@ -46,6 +48,9 @@ _LONG_TIMEOUT_S = 30.0
 _GRANTED = 0.3
 # The same if the autopilot has rejected requests: messages are then received for another reason.
 _GRANTED_AFTER_REJECTION = 0.7
+# Lowest rate that is requested of a message that was denied, Hz.  ArduPilot of 2026 denies more than 80 % of
+# SCHED_LOOP_RATE, which is at least 50 Hz, and a message that it does not know; older ones round the rate down.
+_LOWEST_HZ = 25.0
 # Number of requests for the quaternion before the Euler angles are requested too, and then the data streams.
 _TRIES = 2
 
@@ -54,7 +59,7 @@ _OTHERS_HZ = {MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.SYSTEM_TIME: 2.0, Me
 _GIMBAL_FRACTION = 0.5
 # ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3
 # with the gimbal.
-_STREAM_OF = {
+_STREAM_OF: dict[int, int] = {
     MessageId.GPS_RAW_INT: 2,
     MessageId.GLOBAL_POSITION_INT: 6,
     MessageId.ATTITUDE: 10,
@@ -98,6 +103,11 @@ class Requests:
         self._rounds = 0
         self._requested_s: float | None = None
         self._requested: set[int] = set()
+        # Requests that the autopilot had denied at the last round, lower rates by message, Hz, and messages that it
+        # denies at any rate.
+        self._denials = 0
+        self._lower_hz: dict[int, float] = {}
+        self._refused: set[int] = set()
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
         """Return the packets to be sent now, by `time.monotonic`, s, to the autopilot of a receiver.
@@ -128,25 +138,14 @@ class Requests:
 
     def _missing_requests(self, receiver: Receiver, now_s: float) -> list[Any]:
         assert receiver.chosen is not None
-        missing = {number: hz for number, hz in _OTHERS_HZ.items() if self._is_missing(receiver, number, hz, now_s)}
         rejected = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
-        # A simulator's state is no estimate: the autopilot's attitude is requested as well.
-        attitude_hz = max(
-            receiver.rate_hz(number, now_s) for number in (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION)
-        )
-        if attitude_hz < (_GRANTED_AFTER_REJECTION if rejected else _GRANTED) * self.rate_hz:
-            missing[MessageId.ATTITUDE_QUATERNION] = self.rate_hz
-            if self._rounds >= _TRIES or rejected:
-                missing[MessageId.ATTITUDE] = self.rate_hz
-        if receiver.simulator is not None and receiver.simulator.rate_hz(now_s) < _GRANTED * self.rate_hz:
-            missing[MessageId.SIM_STATE] = self.rate_hz
-            if self._rounds >= _TRIES or rejected:
-                missing |= {MessageId.HIL_STATE_QUATERNION: self.rate_hz, MessageId.SIMSTATE: self.rate_hz}
-        gimbal_hz = _GIMBAL_FRACTION * self.rate_hz
-        if self.wants_gimbal and receiver.gimbal.rate_hz(now_s) < _GRANTED * gimbal_hz:
-            missing[MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS] = gimbal_hz
-            if self._rounds >= _TRIES or rejected:
-                missing |= {MessageId.MOUNT_ORIENTATION: gimbal_hz, MessageId.MOUNT_STATUS: gimbal_hz}
+        denied, self._denials = receiver.denials != self._denials, receiver.denials
+        missing: dict[int, float] = {}
+        # A lower rate of a message is requested before the messages that can replace it.
+        for with_others in (False, True) if denied else (rejected or self._rounds >= _TRIES,):
+            missing = self._missing(receiver, now_s, rejected=rejected, with_others=with_others)
+            if denied and (lower_hz := self._lowered(missing)):
+                return [self._interval(receiver.chosen, number, hz) for number, hz in lower_hz.items()]
         if not missing:
             self._rounds = 0
             return []
@@ -160,6 +159,43 @@ class Requests:
                 if number in _STREAM_OF
             ]
         return requests
+
+    def _missing(self, receiver: Receiver, now_s: float, *, rejected: bool, with_others: bool) -> dict[int, float]:
+        """Return the messages that are not received, or too rarely, and their rates, Hz.
+
+        `rejected`: whether the autopilot has rejected requests; `with_others`: whether messages that can replace them
+        are among them.
+        """
+        missing: dict[int, float] = {
+            number: hz for number, hz in _OTHERS_HZ.items() if self._is_missing(receiver, number, hz, now_s)
+        }
+        attitudes = MessageId.ATTITUDE_QUATERNION, MessageId.ATTITUDE
+        # A simulator's state is no estimate: the autopilot's attitude is requested as well.
+        attitude_hz = max(receiver.rate_hz(number, now_s) for number in attitudes)
+        kinds: list[tuple[tuple[int, ...], float, float, float]] = [
+            (attitudes, self.rate_hz, attitude_hz, _GRANTED_AFTER_REJECTION if rejected else _GRANTED)
+        ]
+        if receiver.simulator is not None:
+            kinds.append((SIMULATOR_MESSAGES, self.rate_hz, receiver.simulator.rate_hz(now_s), _GRANTED))
+        if self.wants_gimbal:
+            kinds.append((GIMBAL_IDS, _GIMBAL_FRACTION * self.rate_hz, receiver.gimbal.rate_hz(now_s), _GRANTED))
+        for numbers, rate_hz, received_hz, granted in kinds:
+            wanted = {int(number): self._lower_hz.get(number, rate_hz) for number in numbers}
+            if received_hz < granted * wanted[numbers[0]]:
+                missing |= wanted if with_others else {numbers[0]: wanted[numbers[0]]}
+        return missing
+
+    def _lowered(self, missing: Mapping[int, float]) -> dict[int, float]:
+        """Return the next lower rates of requested messages, Hz, without those that were denied at the lowest."""
+        lowered: dict[int, float] = {}
+        for number in sorted(self._requested.intersection(missing) - _OTHERS_HZ.keys() - self._refused):
+            rate_hz = next((rate_hz for rate_hz in RATES_HZ if _LOWEST_HZ <= rate_hz < missing[number]), None)
+            if rate_hz is None:
+                self._refused.add(number)
+                self._lower_hz.pop(number, None)
+            else:
+                lowered[number] = self._lower_hz[number] = rate_hz
+        return lowered
 
     def _is_missing(self, receiver: Receiver, number: int, hz: float, now_s: float) -> bool:
         if number == MessageId.GPS_RAW_INT:

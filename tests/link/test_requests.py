@@ -90,3 +90,20 @@ def test_messages_that_were_not_requested_are_not_restored() -> None:
 
     assert requests.default_rate_requests(heard()) == []
     assert requests.default_rate_requests(receiver()[0]) == []
+
+
+def test_a_message_that_is_denied_at_any_rate_is_replaced_by_another_one() -> None:
+    plane, (listening, _) = Sender(7), receiver()
+    listening.receive(plane.heartbeat(), 0.0)
+    requests, asked_hz = Requests(100.0), []
+    for second in range(0, 16, 2):
+        for number, interval_us in intervals_us(requests.due(listening, float(second))).items():
+            denied = MAVLINK.MAVLink_command_ack_message(511, MAVLINK.MAV_RESULT_DENIED)
+            listening.receive(plane(denied), second + 0.1)
+            if number in {MessageId.ATTITUDE_QUATERNION, MessageId.ATTITUDE}:
+                asked_hz.append((number, 1e6 / interval_us))
+
+    assert asked_hz[:4] == [(MessageId.ATTITUDE_QUATERNION, rate_hz) for rate_hz in (100.0, 50.0, 40.0, 25.0)]
+    assert (MessageId.ATTITUDE, 100.0) in asked_hz
+    assert (MessageId.ATTITUDE, 25.0) in asked_hz
+    assert min(rate_hz for _, rate_hz in asked_hz) == 25.0
