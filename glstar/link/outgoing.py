@@ -20,7 +20,7 @@ age of such messages for the link's delay, so that a constant delay of the solve
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from math import hypot, inf, isfinite, nan, pi
@@ -103,9 +103,8 @@ class Requests:
         self._rounds = 0
         self._requested_s: float | None = None
         self._requested: set[int] = set()
-        # Requests that the autopilot had denied at the last round, lower rates by message, Hz, and messages that it
-        # denies at any rate.
-        self._denials = 0
+        # Messages of the latest round, lower rates by message, Hz, and messages that the autopilot denies at any rate.
+        self._asked: list[int] = []
         self._lower_hz: dict[int, float] = {}
         self._refused: set[int] = set()
 
@@ -125,6 +124,8 @@ class Requests:
             self._heartbeat_s = now_s
             packets.append(self._packed(self._heartbeat()))
         wait_s = _REQUEST_TIMEOUT_S if self._rounds < _ROUNDS else _LONG_TIMEOUT_S
+        if len(receiver.acks) == len(self._asked) and self._may_be_lower(self._denied(receiver.acks)):
+            wait_s = 0.0
         if receiver.chosen is not None and (self._requested_s is None or now_s - self._requested_s >= wait_s):
             self._requested_s = now_s
             packets += [self._packed(message) for message in self._missing_requests(receiver, now_s)]
@@ -139,19 +140,20 @@ class Requests:
     def _missing_requests(self, receiver: Receiver, now_s: float) -> list[Any]:
         assert receiver.chosen is not None
         rejected = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
-        denied, self._denials = receiver.denials != self._denials, receiver.denials
+        denied = self._denied(receiver.acks)
+        receiver.acks.clear()
         missing: dict[int, float] = {}
         # A lower rate of a message is requested before the messages that can replace it.
         for with_others in (False, True) if denied else (rejected or self._rounds >= _TRIES,):
             missing = self._missing(receiver, now_s, rejected=rejected, with_others=with_others)
-            if denied and (lower_hz := self._lowered(missing)):
-                return [self._interval(receiver.chosen, number, hz) for number, hz in lower_hz.items()]
+            if lower_hz := self._lowered(missing, denied):
+                return self._intervals(receiver.chosen, lower_hz)
         if not missing:
-            self._rounds = 0
+            self._rounds, self._asked = 0, []
             return []
         self._rounds += 1
         self._requested |= missing.keys()
-        requests = [self._interval(receiver.chosen, number, hz) for number, hz in missing.items()]
+        requests = self._intervals(receiver.chosen, missing)
         if self._rounds > 2 * _TRIES or receiver.ack == self._mavlink.MAV_RESULT_UNSUPPORTED:
             requests += [
                 self._stream(receiver.chosen, _STREAM_OF[number], hz)
@@ -185,10 +187,24 @@ class Requests:
                 missing |= wanted if with_others else {numbers[0]: wanted[numbers[0]]}
         return missing
 
-    def _lowered(self, missing: Mapping[int, float]) -> dict[int, float]:
-        """Return the next lower rates of requested messages, Hz, without those that were denied at the lowest."""
+    def _denied(self, acks: Sequence[int]) -> set[int]:
+        """Return the messages of the latest round that were denied; all if it is not known which.
+
+        An autopilot answers in the order of the requests.
+        """
+        if len(acks) == len(self._asked):
+            answered = zip(self._asked, acks, strict=True)
+            return {number for number, ack in answered if ack == self._mavlink.MAV_RESULT_DENIED}
+        return set(self._asked) if self._mavlink.MAV_RESULT_DENIED in acks else set()
+
+    def _may_be_lower(self, denied: set[int]) -> set[int]:
+        """Return the messages that may be granted at a lower rate."""
+        return denied - _OTHERS_HZ.keys() - self._refused
+
+    def _lowered(self, missing: Mapping[int, float], denied: set[int]) -> dict[int, float]:
+        """Return the next lower rates of denied messages, Hz, without those that were denied at the lowest."""
         lowered: dict[int, float] = {}
-        for number in sorted(self._requested.intersection(missing) - _OTHERS_HZ.keys() - self._refused):
+        for number in sorted(self._may_be_lower(denied).intersection(missing)):
             rate_hz = next((rate_hz for rate_hz in RATES_HZ if _LOWEST_HZ <= rate_hz < missing[number]), None)
             if rate_hz is None:
                 self._refused.add(number)
@@ -201,6 +217,10 @@ class Requests:
         if number == MessageId.GPS_RAW_INT:
             return self._rounds > 0 and not receiver.sends_position
         return receiver.rate_hz(number, now_s) < _GRANTED * hz
+
+    def _intervals(self, target: tuple[int, int], rates_hz: Mapping[int, float]) -> list[Any]:
+        self._asked = list(rates_hz)
+        return [self._interval(target, number, hz) for number, hz in rates_hz.items()]
 
     def _interval(self, target: tuple[int, int], number: int, hz: float) -> Any:
         interval_us = 1e6 / hz if hz else 0.0

@@ -69,9 +69,9 @@ class Receiver:
         self.chosen: Sender | None = None
         # Arrival of its latest attitude by `time.monotonic`, s.
         self.attitude_arrival_s: float | None = None
-        # Its last reply to a request for a message interval: a MAV_RESULT; and the number of those that it denied.
+        # Its last reply to a request for a message interval, a MAV_RESULT, and all those since the latest requests.
         self.ack: int | None = None
-        self.denials = 0
+        self.acks: list[int] = []
         self._position_ack: int | None = None
         # Those of `GPS_TYPES` that the autopilot stated.
         self.parameters: dict[str, float] = {}
@@ -400,7 +400,7 @@ class Receiver:
     def _on_ack(self, message: Any, _: float) -> None:
         if message.command == dialect().MAV_CMD_SET_MESSAGE_INTERVAL:
             self.ack = message.result
-            self.denials += message.result == dialect().MAV_RESULT_DENIED
+            self.acks.append(message.result)
         elif message.command == EXTERNAL_POSITION_ESTIMATE and message.result != self._position_ack:
             self._position_ack = message.result
             mavlink = dialect()
