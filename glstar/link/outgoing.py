@@ -321,8 +321,10 @@ class Injector:
         self._sent_last: PositionFix | None = None
         # Latest fix out of reach, and the number of those in a row that agree with it.
         self._doubted: tuple[PositionFix, int] | None = None
-        # When the first fix was sent, by `time.monotonic`, s: the zero of the times of transmission, which never wrap.
-        self._first_s: float | None = None
+        # When the first fix was sent, by `time.monotonic` or, in a boot, by the vehicle's clock, s: zero of the times
+        # of transmission, which never wrap.  And the time since then of the latest fix.
+        self._first: tuple[int, float] | None = None
+        self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
         self._mavlink = dialect()
@@ -334,9 +336,11 @@ class Injector:
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
         """Return the packets to be sent now, by `time.monotonic`, s."""
-        utc_minus_host_s = receiver.clock.utc_minus_host_s
-        if receiver.chosen is None or utc_minus_host_s is None:
+        utc_s, boot_s = receiver.clock.now(now_s)
+        if receiver.chosen is None or utc_s is None:
             return []
+        # A simulator that is sped up or paused expects times by its own clock.
+        boot, clock_s = (receiver.clock.boot, boot_s) if receiver.clock.is_vehicle_time else (0, now_s)
         if self._is_gps_input and not receiver.parameters:
             questions = self._questions(receiver.chosen, now_s)
             if questions is not None:
@@ -344,14 +348,15 @@ class Injector:
         packets = []
         while self._fixes:
             fix = self._fixes.popleft()
-            utc_s = now_s + utc_minus_host_s
             why = self._refusal(fix, receiver, now_s, utc_s)
             if why is not None:
                 self.refused += 1
                 at = format_utc(fix.utc_s)[11:21] if isfinite(fix.utc_s) else fix.utc_s
                 self.messages.append(f"the position of {at} is not sent: {why}")
                 continue
-            self._first_s = now_s if self._first_s is None else self._first_s
+            if self._first is None or self._first[0] != boot:
+                self._first = boot, clock_s
+            self._passed_s = clock_s - self._first[1]
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
             self._sent_last, self._doubted = fix, None
         self.sent += len(packets)
@@ -406,16 +411,15 @@ class Injector:
         flown_km = _SPEED_KM_PER_S * abs(fix.utc_s - before.utc_s)
         return _distance_km(before, fix) <= self._max_km + flown_km
 
-    def _external_position(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:
+    def _external_position(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - see _passed_s
         assert receiver.chosen is not None
-        assert self._first_s is not None
         return self._mavlink.MAVLink_command_int_message(
             *receiver.chosen,
             self._mavlink.MAV_FRAME_GLOBAL,
             EXTERNAL_POSITION_ESTIMATE,
             0,
             0,
-            now_s - self._first_s,
+            self._passed_s,
             max(utc_s - fix.utc_s, 0.0),
             nan if fix.sigma_m is None else fix.sigma_m,
             0.0,
