@@ -60,14 +60,16 @@ class Plane:
 
     def step(self, pwm, dt_s):
         """Fly for a time, and return the state as ArduPilot reads it."""
-        aileron, elevator, throttle, _ = (np.array(pwm[:4]) - 1500) / 500
-        before = self.velocity()
+        # 0 is no output yet, while ArduPilot starts: neutral.
+        aileron, elevator, throttle, _ = ((width or 1500) / 500 - 3 for width in pwm[:4])
+        before, angles = self.velocity(), self.angles
         wanted = np.array([2.0 * aileron, 1.0 * elevator])
         self.rates = self.rates + (wanted - self.rates) * min(dt_s / 0.15, 1.0)
-        roll, pitch, _ = self.angles
+        roll, pitch, _ = angles
         turn = GRAVITY * np.tan(roll) / self.speed  # coordinated
-        self.angles = self.angles + np.array([*self.rates, turn]) * dt_s
+        self.angles = angles + np.array([*self.rates, turn]) * dt_s
         self.angles[:2] = np.clip(self.angles[:2], -1.2, 1.2)
+        self.rates = (self.angles - angles)[:2] / dt_s  # none at the limits, where a gyro has to measure none
         self.speed += (22.0 + 6.0 * throttle - self.speed) * min(dt_s / 3.0, 1.0)
         self.position = self.position + (before + self.velocity()) / 2 * dt_s
         self.t_s += dt_s
