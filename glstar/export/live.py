@@ -233,7 +233,7 @@ class LiveExport:
         Of those that are due while another one is drawn the latest is drawn, and the others are counted.
         """
         section = self._frames.config.exposure
-        boot, due, said_s = -1, 0, time.monotonic()
+        boot, due, said, said_s = -1, 0, 0, time.monotonic()
         for left_s in self._turns(until_s, writer, on_event):
             now = self._link.latest()
             if now is None:
@@ -250,9 +250,9 @@ class LiveExport:
                 in_gaps = self._skip_missed(due * section.interval_s + latest.utc_minus_boot_s, latest)
                 self._late += max(newest - due - in_gaps, 0)
                 due = newest
-            if self._late and time.monotonic() - said_s > _LATE_REPORT_S:
-                said_s = time.monotonic()
-                on_event(f"{self._late} exposures left out: the vehicle's clock is faster than frames are drawn")
+            if self._late > said and time.monotonic() - said_s > _LATE_REPORT_S:
+                said, said_s = self._late, time.monotonic()
+                on_event(f"exposures left out: {said}; the vehicle's clock is faster than frames are drawn")
             stop_s = due * section.interval_s + latest.utc_minus_boot_s
             frame = self._frames.draw(renderer, stop_s - section.span_s, latest, {})
             due += 1

@@ -68,6 +68,10 @@ class RowBuffer:
         self._stop += 1
         self._start = max(self._start, self._stop - self._most)
 
+    def replace_last(self, row: tuple[float, ...]) -> None:
+        """Put a row in the place of the latest one."""
+        self._buffer[self._stop - 1] = row
+
     def latest(self, first_column_from: float) -> Float:
         """Return a copy of the rows whose first column is not less than a number."""
         rows = self._buffer[self._start : self._stop]
@@ -190,6 +194,9 @@ class History:
         self._attitudes = RowBuffer(5, _MAX_ATTITUDES, keep_s)
         self._positions = RowBuffer(4, _MAX_POSITIONS, keep_s)
         self._latest_boot_s: float | None = None
+        # Time since boot of the latest position that stays, s, and whether a later one follows it.
+        self._kept_s = -inf
+        self._has_later = False
         self._past: deque[PastBoot] = deque(maxlen=_MAX_BOOTS)
 
     def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:
@@ -197,9 +204,19 @@ class History:
         self._attitudes.append((boot_s, *q_body_ned))
         self._latest_boot_s = boot_s if self._latest_boot_s is None else max(boot_s, self._latest_boot_s)
 
-    def add_position(self, boot_s: float, latitude_rad: float, longitude_rad: float, height_m: float) -> None:
-        """Add a position at a time since boot, s."""
-        self._positions.append((boot_s, latitude_rad, longitude_rad, height_m))
+    def add_position(
+        self, boot_s: float, latitude_rad: float, longitude_rad: float, height_m: float, *, every_s: float = 0.0
+    ) -> None:
+        """Add a position at a time since boot, s.
+
+        Of positions that follow each other sooner than `every_s` one is kept in this time, and the latest one, so that
+        an exposure that has just ended has the position of its end.
+        """
+        add = self._positions.replace_last if self._has_later else self._positions.append
+        add((boot_s, latitude_rad, longitude_rad, height_m))
+        self._has_later = boot_s - self._kept_s < every_s
+        if not self._has_later:
+            self._kept_s = boot_s
 
     @property
     def latest_boot_s(self) -> float | None:
@@ -226,6 +243,7 @@ class History:
         self._attitudes.clear()
         self._latest_boot_s = None
         self._positions.clear()
+        self._kept_s, self._has_later = -inf, False
 
     def snapshot(self, last_s: float = np.inf) -> HistorySnapshot:
         """Return a copy of the attitudes of at most the last `last_s`, and of all positions."""
@@ -240,8 +258,8 @@ SIMULATOR_MESSAGES = (MessageId.SIM_STATE, MessageId.HIL_STATE_QUATERNION, Messa
 SIMULATOR_NAMES = " or ".join(", ".join(message.name for message in SIMULATOR_MESSAGES).rsplit(", ", 1))
 # Another message is used if the better one has not been received for this time, s.
 _TIMEOUT_S = 2.0
-# Interval between positions, s.
-_POSITION_INTERVAL_S = 0.2
+# Interval between positions of a simulator, s, of which every packet has one.
+POSITION_INTERVAL_S = 0.2
 # States that wait for the attitude after them: ten seconds at 100 Hz.
 _MOST_PENDING = 1000
 _DEGREES = 1e-7
@@ -264,7 +282,6 @@ class SimulatorState:
         self._pending: deque[tuple[float, Float, _Position | None]] = deque(maxlen=_MOST_PENDING)
         # Time since boot, s, and arrival, s, of the latest attitude of the autopilot.
         self._paired: tuple[float, float] | None = None
-        self._position_s = -inf
 
     @property
     def source(self) -> str | None:
@@ -320,9 +337,8 @@ class SimulatorState:
             if latest_s is not None and at_s <= latest_s:
                 continue
             self.history.add_attitude(at_s, q_body_ned)
-            if position is not None and at_s - self._position_s >= _POSITION_INTERVAL_S:
-                self._position_s = at_s
-                self.history.add_position(at_s, *position)
+            if position is not None:
+                self.history.add_position(at_s, *position, every_s=POSITION_INTERVAL_S)
 
     def _fraction_of(self, passed_s: float, all_s: float) -> float:
         """Return where between two attitudes a state is by its arrival, 0 to 1.
@@ -339,7 +355,6 @@ class SimulatorState:
         self.history.begin_boot(utc_minus_boot_s)
         self._pending.clear()
         self._paired = None
-        self._position_s = -inf
 
     def _position(self, number: int, message: Any) -> _Position | None:
         """Return latitude and longitude, rad, and height, m; None if they are not valid."""

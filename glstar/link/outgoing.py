@@ -20,6 +20,7 @@ age of such messages for the link's delay, so that a constant delay of the solve
 """
 
 from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from math import hypot, inf, isfinite, nan, pi
@@ -29,7 +30,8 @@ import numpy as np
 
 from glstar.errors import ConfigError
 from glstar.link.endpoint import Endpoint
-from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GPS_TYPES, MessageId, dialect
+from glstar.link.history import SIMULATOR_MESSAGES
+from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, GPS_TYPES, RATES_HZ, MessageId, dialect
 from glstar.link.receiver import Receiver
 from glstar.sky.place.site import Site, north_east_of, surface_offset_km
 from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, format_utc, tai_minus_utc_s
@@ -46,6 +48,9 @@ _LONG_TIMEOUT_S = 30.0
 _GRANTED = 0.3
 # The same if the autopilot has rejected requests: messages are then received for another reason.
 _GRANTED_AFTER_REJECTION = 0.7
+# Lowest rate that is requested of a message that was denied, Hz.  ArduPilot of 2026 denies more than 80 % of
+# SCHED_LOOP_RATE, which is at least 50 Hz, and a message that it does not know; older ones round the rate down.
+_LOWEST_HZ = 25.0
 # Number of requests for the quaternion before the Euler angles are requested too, and then the data streams.
 _TRIES = 2
 
@@ -54,7 +59,7 @@ _OTHERS_HZ = {MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.SYSTEM_TIME: 2.0, Me
 _GIMBAL_FRACTION = 0.5
 # ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3
 # with the gimbal.
-_STREAM_OF = {
+_STREAM_OF: dict[int, int] = {
     MessageId.GPS_RAW_INT: 2,
     MessageId.GLOBAL_POSITION_INT: 6,
     MessageId.ATTITUDE: 10,
@@ -98,6 +103,10 @@ class Requests:
         self._rounds = 0
         self._requested_s: float | None = None
         self._requested: set[int] = set()
+        # Messages of the latest round, lower rates by message, Hz, and messages that the autopilot denies at any rate.
+        self._asked: list[int] = []
+        self._lower_hz: dict[int, float] = {}
+        self._refused: set[int] = set()
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
         """Return the packets to be sent now, by `time.monotonic`, s, to the autopilot of a receiver.
@@ -115,6 +124,8 @@ class Requests:
             self._heartbeat_s = now_s
             packets.append(self._packed(self._heartbeat()))
         wait_s = _REQUEST_TIMEOUT_S if self._rounds < _ROUNDS else _LONG_TIMEOUT_S
+        if len(receiver.acks) == len(self._asked) and self._may_be_lower(self._denied(receiver.acks)):
+            wait_s = 0.0
         if receiver.chosen is not None and (self._requested_s is None or now_s - self._requested_s >= wait_s):
             self._requested_s = now_s
             packets += [self._packed(message) for message in self._missing_requests(receiver, now_s)]
@@ -128,31 +139,21 @@ class Requests:
 
     def _missing_requests(self, receiver: Receiver, now_s: float) -> list[Any]:
         assert receiver.chosen is not None
-        missing = {number: hz for number, hz in _OTHERS_HZ.items() if self._is_missing(receiver, number, hz, now_s)}
         rejected = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
-        # A simulator's state is no estimate: the autopilot's attitude is requested as well.
-        attitude_hz = max(
-            receiver.rate_hz(number, now_s) for number in (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION)
-        )
-        if attitude_hz < (_GRANTED_AFTER_REJECTION if rejected else _GRANTED) * self.rate_hz:
-            missing[MessageId.ATTITUDE_QUATERNION] = self.rate_hz
-            if self._rounds >= _TRIES or rejected:
-                missing[MessageId.ATTITUDE] = self.rate_hz
-        if receiver.simulator is not None and receiver.simulator.rate_hz(now_s) < _GRANTED * self.rate_hz:
-            missing[MessageId.SIM_STATE] = self.rate_hz
-            if self._rounds >= _TRIES or rejected:
-                missing |= {MessageId.HIL_STATE_QUATERNION: self.rate_hz, MessageId.SIMSTATE: self.rate_hz}
-        gimbal_hz = _GIMBAL_FRACTION * self.rate_hz
-        if self.wants_gimbal and receiver.gimbal.rate_hz(now_s) < _GRANTED * gimbal_hz:
-            missing[MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS] = gimbal_hz
-            if self._rounds >= _TRIES or rejected:
-                missing |= {MessageId.MOUNT_ORIENTATION: gimbal_hz, MessageId.MOUNT_STATUS: gimbal_hz}
+        denied = self._denied(receiver.acks)
+        receiver.acks.clear()
+        missing: dict[int, float] = {}
+        # A lower rate of a message is requested before the messages that can replace it.
+        for with_others in (False, True) if denied else (rejected or self._rounds >= _TRIES,):
+            missing = self._missing(receiver, now_s, rejected=rejected, with_others=with_others)
+            if lower_hz := self._lowered(missing, denied):
+                return self._intervals(receiver.chosen, lower_hz)
         if not missing:
-            self._rounds = 0
+            self._rounds, self._asked = 0, []
             return []
         self._rounds += 1
         self._requested |= missing.keys()
-        requests = [self._interval(receiver.chosen, number, hz) for number, hz in missing.items()]
+        requests = self._intervals(receiver.chosen, missing)
         if self._rounds > 2 * _TRIES or receiver.ack == self._mavlink.MAV_RESULT_UNSUPPORTED:
             requests += [
                 self._stream(receiver.chosen, _STREAM_OF[number], hz)
@@ -161,10 +162,65 @@ class Requests:
             ]
         return requests
 
+    def _missing(self, receiver: Receiver, now_s: float, *, rejected: bool, with_others: bool) -> dict[int, float]:
+        """Return the messages that are not received, or too rarely, and their rates, Hz.
+
+        `rejected`: whether the autopilot has rejected requests; `with_others`: whether messages that can replace them
+        are among them.
+        """
+        missing: dict[int, float] = {
+            number: hz for number, hz in _OTHERS_HZ.items() if self._is_missing(receiver, number, hz, now_s)
+        }
+        attitudes = MessageId.ATTITUDE_QUATERNION, MessageId.ATTITUDE
+        # A simulator's state is no estimate: the autopilot's attitude is requested as well.
+        attitude_hz = max(receiver.rate_hz(number, now_s) for number in attitudes)
+        kinds: list[tuple[tuple[int, ...], float, float, float]] = [
+            (attitudes, self.rate_hz, attitude_hz, _GRANTED_AFTER_REJECTION if rejected else _GRANTED)
+        ]
+        if receiver.simulator is not None:
+            kinds.append((SIMULATOR_MESSAGES, self.rate_hz, receiver.simulator.rate_hz(now_s), _GRANTED))
+        if self.wants_gimbal:
+            kinds.append((GIMBAL_IDS, _GIMBAL_FRACTION * self.rate_hz, receiver.gimbal.rate_hz(now_s), _GRANTED))
+        for numbers, rate_hz, received_hz, granted in kinds:
+            wanted = {int(number): self._lower_hz.get(number, rate_hz) for number in numbers}
+            if received_hz < granted * wanted[numbers[0]]:
+                missing |= wanted if with_others else {numbers[0]: wanted[numbers[0]]}
+        return missing
+
+    def _denied(self, acks: Sequence[int]) -> set[int]:
+        """Return the messages of the latest round that were denied; all if it is not known which.
+
+        An autopilot answers in the order of the requests.
+        """
+        if len(acks) == len(self._asked):
+            answered = zip(self._asked, acks, strict=True)
+            return {number for number, ack in answered if ack == self._mavlink.MAV_RESULT_DENIED}
+        return set(self._asked) if self._mavlink.MAV_RESULT_DENIED in acks else set()
+
+    def _may_be_lower(self, denied: set[int]) -> set[int]:
+        """Return the messages that may be granted at a lower rate."""
+        return denied - _OTHERS_HZ.keys() - self._refused
+
+    def _lowered(self, missing: Mapping[int, float], denied: set[int]) -> dict[int, float]:
+        """Return the next lower rates of denied messages, Hz, without those that were denied at the lowest."""
+        lowered: dict[int, float] = {}
+        for number in sorted(self._may_be_lower(denied).intersection(missing)):
+            rate_hz = next((rate_hz for rate_hz in RATES_HZ if _LOWEST_HZ <= rate_hz < missing[number]), None)
+            if rate_hz is None:
+                self._refused.add(number)
+                self._lower_hz.pop(number, None)
+            else:
+                lowered[number] = self._lower_hz[number] = rate_hz
+        return lowered
+
     def _is_missing(self, receiver: Receiver, number: int, hz: float, now_s: float) -> bool:
         if number == MessageId.GPS_RAW_INT:
             return self._rounds > 0 and not receiver.sends_position
         return receiver.rate_hz(number, now_s) < _GRANTED * hz
+
+    def _intervals(self, target: tuple[int, int], rates_hz: Mapping[int, float]) -> list[Any]:
+        self._asked = list(rates_hz)
+        return [self._interval(target, number, hz) for number, hz in rates_hz.items()]
 
     def _interval(self, target: tuple[int, int], number: int, hz: float) -> Any:
         interval_us = 1e6 / hz if hz else 0.0
@@ -265,8 +321,10 @@ class Injector:
         self._sent_last: PositionFix | None = None
         # Latest fix out of reach, and the number of those in a row that agree with it.
         self._doubted: tuple[PositionFix, int] | None = None
-        # When the first fix was sent, by `time.monotonic`, s: the zero of the times of transmission, which never wrap.
-        self._first_s: float | None = None
+        # When the first fix was sent, by `time.monotonic` or, in a boot, by the vehicle's clock, s: zero of the times
+        # of transmission, which never wrap.  And the time since then of the latest fix.
+        self._first: tuple[int, float] | None = None
+        self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
         self._mavlink = dialect()
@@ -278,9 +336,11 @@ class Injector:
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
         """Return the packets to be sent now, by `time.monotonic`, s."""
-        utc_minus_host_s = receiver.clock.utc_minus_host_s
-        if receiver.chosen is None or utc_minus_host_s is None:
+        utc_s, boot_s = receiver.clock.now(now_s)
+        if receiver.chosen is None or utc_s is None:
             return []
+        # A simulator that is sped up or paused expects times by its own clock.
+        boot, clock_s = (receiver.clock.boot, boot_s) if receiver.clock.is_vehicle_time else (0, now_s)
         if self._is_gps_input and not receiver.parameters:
             questions = self._questions(receiver.chosen, now_s)
             if questions is not None:
@@ -288,14 +348,15 @@ class Injector:
         packets = []
         while self._fixes:
             fix = self._fixes.popleft()
-            utc_s = now_s + utc_minus_host_s
             why = self._refusal(fix, receiver, now_s, utc_s)
             if why is not None:
                 self.refused += 1
                 at = format_utc(fix.utc_s)[11:21] if isfinite(fix.utc_s) else fix.utc_s
                 self.messages.append(f"the position of {at} is not sent: {why}")
                 continue
-            self._first_s = now_s if self._first_s is None else self._first_s
+            if self._first is None or self._first[0] != boot:
+                self._first = boot, clock_s
+            self._passed_s = clock_s - self._first[1]
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
             self._sent_last, self._doubted = fix, None
         self.sent += len(packets)
@@ -350,16 +411,15 @@ class Injector:
         flown_km = _SPEED_KM_PER_S * abs(fix.utc_s - before.utc_s)
         return _distance_km(before, fix) <= self._max_km + flown_km
 
-    def _external_position(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:
+    def _external_position(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - see _passed_s
         assert receiver.chosen is not None
-        assert self._first_s is not None
         return self._mavlink.MAVLink_command_int_message(
             *receiver.chosen,
             self._mavlink.MAV_FRAME_GLOBAL,
             EXTERNAL_POSITION_ESTIMATE,
             0,
             0,
-            now_s - self._first_s,
+            self._passed_s,
             max(utc_s - fix.utc_s, 0.0),
             nan if fix.sigma_m is None else fix.sigma_m,
             0.0,

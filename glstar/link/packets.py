@@ -57,7 +57,8 @@ _ATTITUDE_BYTES = 56
 _OTHERS_BYTES_PER_S = 270.0
 # Usable fraction of the baud rate: a radio also carries other messages, and the opposite direction.
 _USABLE_FRACTION = 0.55
-_RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 4.0, 2.0, 1.0)
+# Rates of attitude that are requested.
+RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 4.0, 2.0, 1.0)
 
 
 class MessageRate:
@@ -86,9 +87,9 @@ def carried_rate_hz(endpoint: Endpoint) -> float:
     """Return the highest rate of attitude that a link can carry, Hz: 50 at 57600 baud, 100 without a serial radio."""
     capacity = endpoint.bytes_per_s
     if capacity is None:
-        return _RATES_HZ[0]
+        return RATES_HZ[0]
     fits_hz = (_USABLE_FRACTION * capacity - _OTHERS_BYTES_PER_S) / _ATTITUDE_BYTES
-    return next((rate_hz for rate_hz in _RATES_HZ if rate_hz <= fits_hz), _RATES_HZ[-1])
+    return next((rate_hz for rate_hz in RATES_HZ if rate_hz <= fits_hz), RATES_HZ[-1])
 
 
 def dialect() -> Any:

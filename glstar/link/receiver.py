@@ -9,7 +9,7 @@ import numpy as np
 
 from glstar.link.clock import BootClock
 from glstar.link.gimbal import LinkGimbal
-from glstar.link.history import SIMULATOR_MESSAGES, History, SimulatorState
+from glstar.link.history import POSITION_INTERVAL_S, SIMULATOR_MESSAGES, History, SimulatorState
 from glstar.link.packets import (
     EXTERNAL_POSITION_ESTIMATE,
     GIMBAL_IDS,
@@ -35,8 +35,6 @@ _VELOCITY_TIMEOUT_S = 2.0
 _SEQUENCE_TIMEOUT_S = 2.0
 # A larger change of UTC is reported, s: 7 px at 1 deg/s and f = 3871 px.
 _UTC_STEP_S = 0.1
-# Interval between positions of a simulator, s.
-_HIL_POSITION_INTERVAL_S = 0.2
 # Largest number of senders; more are damaged packets.
 _MAX_SENDERS = 64
 # Messages with an attitude, and with a position, the preferred one first.
@@ -71,8 +69,9 @@ class Receiver:
         self.chosen: Sender | None = None
         # Arrival of its latest attitude by `time.monotonic`, s.
         self.attitude_arrival_s: float | None = None
-        # Its last reply to a request for a message interval: a MAV_RESULT.
+        # Its last reply to a request for a message interval, a MAV_RESULT, and all those since the latest requests.
         self.ack: int | None = None
+        self.acks: list[int] = []
         self._position_ack: int | None = None
         # Those of `GPS_TYPES` that the autopilot stated.
         self.parameters: dict[str, float] = {}
@@ -96,7 +95,6 @@ class Receiver:
         # Messages that contained a position, and the UTC at which the clock of a simulator begins.
         self._position_messages: set[int] = set()
         self._hil_utc_s: float | None = None
-        self._hil_position_s = -inf
         # First bytes of the latest attitude of each message: its time since boot.
         self._latest_stamp: dict[int, bytes] = {}
         self._aligned = False
@@ -309,10 +307,7 @@ class Receiver:
             return
         if is_utc:
             self.clock.read_utc(stamped_s, message.time_usec * 1e-6)
-        # Every packet has a position; the history is for five positions a second.
-        if not self._hil_position_s <= latest_s < self._hil_position_s + _HIL_POSITION_INTERVAL_S:
-            self._hil_position_s = latest_s
-            self._add_position(MessageId.HIL_STATE_QUATERNION, latest_s, message)
+        self._add_position(MessageId.HIL_STATE_QUATERNION, latest_s, message, every_s=POSITION_INTERVAL_S)
 
     def _add_attitude(self, number: int, stamped_s: float, q_body_ned: Any, arrival_s: float) -> None:
         self._rates[number].add(arrival_s)
@@ -392,18 +387,20 @@ class Receiver:
         """The message from which the position comes."""
         return next((message.name for message in _POSITIONS if message in self._position_messages), "GPS_RAW_INT")
 
-    def _add_position(self, number: int, boot_s: float, message: Any) -> None:
+    def _add_position(self, number: int, boot_s: float, message: Any, *, every_s: float = 0.0) -> None:
         self._position_messages.add(number)
         if abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000:
             height_m = message.alt / 1e3
             if HEIGHTS_M[0] <= height_m <= HEIGHTS_M[1]:
-                self.history.add_position(boot_s, radians(message.lat / 1e7), radians(message.lon / 1e7), height_m)
+                latitude_rad, longitude_rad = radians(message.lat / 1e7), radians(message.lon / 1e7)
+                self.history.add_position(boot_s, latitude_rad, longitude_rad, height_m, every_s=every_s)
                 if self.simulator is not None:
                     self.simulator.height_m = height_m
 
     def _on_ack(self, message: Any, _: float) -> None:
         if message.command == dialect().MAV_CMD_SET_MESSAGE_INTERVAL:
             self.ack = message.result
+            self.acks.append(message.result)
         elif message.command == EXTERNAL_POSITION_ESTIMATE and message.result != self._position_ack:
             self._position_ack = message.result
             mavlink = dialect()

@@ -70,6 +70,26 @@ def test_the_sky_is_the_simulators_and_the_navigator_knows_the_estimate(tmp_path
     assert manifest["flight"]["attitude"].startswith("SIM_STATE, ")
 
 
+def test_rates_that_the_autopilots_loop_cannot_serve_are_requested_lower(tmp_path: Path) -> None:
+    """ArduPlane denies 100 Hz: the sky was then drawn from SIMSTATE, which has no height, of its data stream."""
+    port, frames, config = free_port(), tmp_path / "frames", tmp_path / "small.toml"
+    config.write_text(SMALL)
+    words = f"live udpin:127.0.0.1:{port} --truth sim_state --every 0.2 --exposure 0.2 --duration 60 -c {config}"
+    with simulated(port, loop_hz=50.0) as autopilot, interrupted_when(lambda: has_frames(frames, 6)):
+        result = CliRunner().invoke(app, [*words.split(), "--export", str(frames)])
+    assert result.exit_code == 0, result.output
+
+    asked_hz: dict[int, list[float]] = {}
+    for message in autopilot.received:
+        if message.get_type() == "COMMAND_LONG" and message.param2:
+            asked_hz.setdefault(int(message.param1), []).append(round(1e6 / message.param2, 6))
+    assert asked_hz[MAVLINK.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] == [100.0, 50.0, 40.0]
+    assert asked_hz[MAVLINK.MAVLINK_MSG_ID_SIM_STATE] == [100.0, 50.0, 40.0]
+    assert not asked_hz.keys() & {MAVLINK.MAVLINK_MSG_ID_ATTITUDE, MAVLINK.MAVLINK_MSG_ID_SIMSTATE}
+    manifest = json.loads((frames / "manifest.json").read_text())
+    assert manifest["flight"]["attitude"].startswith("SIM_STATE, ")
+
+
 def solver(frames: Path, answers: Path, over: threading.Event) -> None:
     """Answer each frame 0.1 km north of where the truth says, with a circle of one standard deviation of 2 km."""
     answered = 0

@@ -69,6 +69,20 @@ def test_a_packet_that_is_sent_again_moves_nothing(tmp_path: Path) -> None:
     assert served[0][1] == 1
 
 
+def test_the_plane_flies_level_until_ardupilot_has_started_and_its_limits_are_those_of_its_gyros() -> None:
+    """ArduPlane 4.7.0-dev sends widths of 0 until it has started; they passed for full deflection."""
+    plane = json_backend.Plane()
+    for _ in range(1200):
+        state = plane.step((0,) * 16, 1 / 1200)
+    assert state["attitude"] == [0.0, 0.0, 0.0]
+    assert state["airspeed"] == 22.0
+
+    for _ in range(2400):
+        state = plane.step((1500, 2000, 1500, 1500), 1 / 1200)
+    assert state["attitude"][1] == 1.2
+    np.testing.assert_allclose(state["imu"]["gyro"], 0.0, rtol=0, atol=1e-9)
+
+
 @pytest.mark.slow
 def test_an_aircraft_without_gnss_finds_its_place_by_the_stars(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -10,6 +10,7 @@ import pytest
 
 from glstar.errors import ConfigError
 from glstar.link import Endpoint, InjectedMessage, Injector, Packet, PositionFix
+from glstar.link.clock import BootClock
 from glstar.link.receiver import Receiver
 from tests.support.jitter import JitterCorrection
 from tests.support.sender import MAVLINK, UTC_S, Sender, flying, system_time
@@ -61,6 +62,24 @@ def test_a_position_has_its_delay_and_its_accuracy() -> None:
     assert (command.get_srcSystem(), command.get_srcComponent()) == (255, 191)
     assert injector.sent == 1
     assert sent(injector, 11.0) == []  # once only
+
+
+def test_a_simulators_clock_counts_the_times_of_positions_and_stands_still_in_a_pause() -> None:
+    """At ten times real time, ArduPlane took each position for one of 0.5 s before: its correction of jitter."""
+    heard, plane, injector = Receiver(BootClock(is_vehicle_time=True), lambda _: None), Sender(7), Injector(HERE)
+    heard.receive(plane.heartbeat(), 0.0)
+    local, errors_s, times_s = JitterCorrection(), [], []
+    # A second of the simulator every 0.1 s, and then a pause of 30 s.
+    for step in range(20):
+        heard.receive(system_time(plane, 100.0 + step, UTC_S + step), 0.1 * step)
+        injector.add(PositionFix(-0.6, 2.4, UTC_S + step - 0.25))
+        (command,) = sent(injector, 0.1 * step + (30.0 if step == 19 else 0.0), heard)
+        times_s.append(command.param1)
+        errors_s.append(local.applied_s(command, 100.0 + step) - (100.0 + step - 0.25))
+
+    assert times_s == list(range(20))
+    np.testing.assert_allclose(errors_s, 0.0, rtol=0, atol=1e-3)
+    assert not injector.messages
 
 
 def test_a_position_as_of_a_gps_receiver_is_that_of_now_with_the_velocity_of_the_autopilot() -> None:

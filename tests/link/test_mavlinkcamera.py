@@ -304,6 +304,20 @@ def test_a_command_that_is_repeated_takes_one_picture(
     assert len(taken(bench)) == pictures
 
 
+def test_after_a_reboot_the_first_sequence_number_is_a_new_command() -> None:
+    """ArduPlane 4.7.0-dev counts its commands from 1 after each boot (AP_Camera_MAVLinkCamV2::trigger_pic)."""
+    bench = Bench()
+    assert bench.result(2000, 0, 0, 1, 1) == M.MAV_RESULT_ACCEPTED
+    bench.now_s += 30.0
+    for boot_s in (1.0, 1.5):
+        bench.feed(M.MAVLink_system_time_message(round((UTC_S + bench.now_s) * 1e6), round(boot_s * 1e3)))
+        bench.now_s += 0.5
+
+    assert bench.result(2000, 0, 0, 1, 1) == M.MAV_RESULT_ACCEPTED
+
+    assert len(taken(bench)) == 2
+
+
 def taken(bench: Bench) -> list[float]:
     """Draw all pictures, and return when each began, s from the boot."""
     starts_s = []

@@ -363,7 +363,7 @@ def test_a_simulators_state_is_attitude_position_and_time(stamped_by_utc: bool) 
     assert flight.attitude.rate_hz == pytest.approx(50.0, rel=1e-3)
     check_attitude(flight)
     places = heard.history.snapshot().positions
-    assert len(places) == 10  # five a second
+    assert len(places) == 11  # five a second, and the latest
     place = places[-1]
     np.testing.assert_allclose(np.rad2deg(place[1:3]), [-34.93, 138.6], rtol=0, atol=1e-9)
     assert place[3] == 300.0

@@ -90,3 +90,36 @@ def test_messages_that_were_not_requested_are_not_restored() -> None:
 
     assert requests.default_rate_requests(heard()) == []
     assert requests.default_rate_requests(receiver()[0]) == []
+
+
+def test_a_message_that_is_denied_at_any_rate_is_replaced_by_another_one() -> None:
+    plane, (listening, _) = Sender(7), receiver()
+    listening.receive(plane.heartbeat(), 0.0)
+    requests, asked = Requests(100.0), []
+    for step in range(320):
+        now_s = step / 20
+        for number, interval_us in intervals_us(requests.due(listening, now_s)).items():
+            denied = MAVLINK.MAVLink_command_ack_message(511, MAVLINK.MAV_RESULT_DENIED)
+            listening.receive(plane(denied), now_s + 0.01)
+            if number in {MessageId.ATTITUDE_QUATERNION, MessageId.ATTITUDE}:
+                asked.append((now_s, number, 1e6 / interval_us))
+
+    rates_hz = 100.0, 50.0, 40.0, 25.0
+    # Each denial is answered at once, and ends with the lowest rate.
+    assert asked[:4] == [(step / 20, MessageId.ATTITUDE_QUATERNION, hz) for step, hz in enumerate(rates_hz)]
+    for hz in rates_hz:
+        assert any(number == MessageId.ATTITUDE and at_hz == hz for _, number, at_hz in asked)
+    assert min(hz for _, _, hz in asked) == 25.0
+    # Then all are requested again every two seconds.
+    assert len({at_s for at_s, _, _ in asked if at_s >= 1.0}) <= 8
+
+
+def test_without_all_replies_a_denial_lowers_what_is_missing() -> None:
+    plane, (listening, _) = Sender(7), receiver()
+    listening.receive(plane.heartbeat(), 0.0)
+    requests = Requests(100.0)
+    assert len(intervals_us(requests.due(listening, 0.0))) == 3
+    listening.receive(plane(MAVLINK.MAVLink_command_ack_message(511, MAVLINK.MAV_RESULT_DENIED)), 0.1)
+
+    assert intervals_us(requests.due(listening, 1.9)) == {}
+    assert intervals_us(requests.due(listening, 2.0)) == {MessageId.ATTITUDE_QUATERNION: 20_000.0}

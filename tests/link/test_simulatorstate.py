@@ -105,6 +105,24 @@ def test_a_position_is_read_in_each_of_its_units(message: Any, tolerance_deg: fl
     np.testing.assert_allclose(positions[:, 3], 250.0, rtol=0, atol=1e-9)
 
 
+def test_the_latest_position_is_that_of_the_latest_state_and_earlier_ones_are_thinned() -> None:
+    """At 22 m/s a position of up to 0.2 s before put the end of a flight 4 m back."""
+    state, sender = SimulatorState(600.0), Sender(1)
+    for step in range(48):
+        state.pair(100.0 + 0.025 * step, 0.025 * step)
+        moving = sim_state(-34.93 + 1e-5 * step, 138.6)
+        state.receive(108, MAVLINK.MAVLink(None).decode(bytearray(sender(moving).content)), 0.025 * step)
+    state.pair(101.2, 1.2)
+
+    latest_s, positions = state.history.latest_boot_s, state.history.snapshot().positions
+    assert latest_s == pytest.approx(101.175, rel=0, abs=1e-9)
+    assert positions[-1, 0] == latest_s
+    np.testing.assert_allclose(np.diff(positions[:-1, 0]), 0.2, rtol=0, atol=0.026)
+    np.testing.assert_allclose(
+        np.rad2deg(positions[:, 1]), -34.93 + 1e-5 * (positions[:, 0] - 100.0) / 0.025, rtol=0, atol=1e-5
+    )
+
+
 def test_invalid_states_are_dropped() -> None:
     state, sender = SimulatorState(600.0), Sender(1)
     for step, message in enumerate([sim_state(0.0, 0.0), sim_state(1.0, 1.0, q=(np.nan,) * 4), sim_state(95e7, 2e9)]):

@@ -1,6 +1,7 @@
 """The clock of a simulator alone: faster than the computer's, paused, and set back."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,15 @@ def test_frames_are_on_the_grid_of_a_fast_simulator_and_late_ones_are_counted(tm
     # Between the first and the last frame, and while the last one was drawn.
     assert 0 <= report["late"] - (steps - 1).sum() <= 20 * speed
     assert_true_attitudes(truth)
+
+
+def test_left_out_exposures_are_reported_when_they_become_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("glstar.export.live._LATE_REPORT_S", 0.0)
+    _, report, messages = exported(tmp_path, 12, speed=10.0)
+
+    said = [int(count) for count in re.findall(r"exposures left out: (\d+);", messages)]
+    assert said == sorted(set(said))
+    assert bool(said) == bool(report["late"])
 
 
 def test_a_pause_of_the_simulator_loses_no_frame(tmp_path: Path) -> None:

@@ -27,6 +27,11 @@ TRUE_DEG: Final = (-34.93, 138.60, 300.0)
 ESTIMATED_DEG: Final = (-34.80, 138.70, 310.0)
 _HZ: Final = 50
 _GPS_OF_MAVLINK: Final = 14
+# Messages that it sends at the rate that is requested, and at a rate of its own.
+_BY_REQUEST: Final = tuple(
+    getattr(MAVLINK, f"MAVLINK_MSG_ID_{name}") for name in ("SIM_STATE", "SIMSTATE", "ATTITUDE", "ATTITUDE_QUATERNION")
+)
+_BY_ITSELF: Final = MAVLINK.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, MAVLINK.MAVLINK_MSG_ID_SYSTEM_TIME
 
 
 def true_yaw_rad(utc_s: float) -> float:
@@ -48,7 +53,9 @@ class SimulatedAutopilot:
     the intervals are 20 and 40 ms in turn, as of ArduPilot's scheduler; `has_station`: whether it forwards the
     heartbeats of a ground station, whose other packets are for itself; `speed`: of its clock against the computer's,
     which then goes by steps of 20 ms alone; at the steps in `pauses` it stands still for a time, s, and at those in
-    `rewinds` it goes back by some steps, once.
+    `rewinds` it goes back by some steps, once; `loop_hz`: rate of its loop, with which it sends attitudes and SIM_STATE
+    by request alone, and denies a message that it does not know and more than 80 % of that rate, as ArduPlane 4.7.0-dev
+    (GCS_MAVLINK::set_message_interval in GCS_Common.cpp; its loop has 50 Hz).
     """
 
     def __init__(
@@ -64,6 +71,7 @@ class SimulatedAutopilot:
         speed: float | None = None,
         pauses: Mapping[int, float] = MappingProxyType({}),
         rewinds: Mapping[int, int] = MappingProxyType({}),
+        loop_hz: float | None = None,
     ) -> None:
         self.received: list[Any] = []
         self.applied: list[tuple[float, float, float]] = []
@@ -72,6 +80,7 @@ class SimulatedAutopilot:
         self._is_uneven, self._has_station = is_uneven, has_station
         self._clock, self._began_s = JitterCorrection(), 0.0
         self._speed, self._pauses, self._rewinds = speed, dict(pauses), dict(rewinds)
+        self._loop_hz, self._granted_hz = loop_hz, dict.fromkeys(_BY_REQUEST, 0.0)
         self._link = MAVLINK.MAVLink(None, srcSystem=1, srcComponent=1)
         self._link.robust_parsing = True
         self._station = MAVLINK.MAVLink(None, srcSystem=255, srcComponent=190)
@@ -119,8 +128,16 @@ class SimulatedAutopilot:
             latitude, longitude, height_m = ESTIMATED_DEG
             degrees = round(latitude * 1e7), round(longitude * 1e7)
             yield MAVLINK.MAVLink_global_position_int_message(boot_ms, *degrees, round(height_m * 1e3), 0, 0, 0, 0, 0)
-        yield from self._state(true_yaw_rad(utc_s))
-        yield MAVLINK.MAVLink_attitude_message(boot_ms, 0.1, 0.2, estimated_yaw_rad(utc_s), 0, 0, YAW_RATE_RAD_PER_S)
+        state, rates = self._state(true_yaw_rad(utc_s)), (0, 0, YAW_RATE_RAD_PER_S)
+        attitude = MAVLINK.MAVLink_attitude_message(boot_ms, 0.1, 0.2, estimated_yaw_rad(utc_s), *rates)
+        if self._loop_hz is None:
+            yield from (*state, attitude)
+            return
+        quaternion = body_to_ned(0.1, 0.2, estimated_yaw_rad(utc_s))
+        for message in (*state, attitude, MAVLINK.MAVLink_attitude_quaternion_message(boot_ms, *quaternion, *rates)):
+            hz = self._granted_hz[message.get_msgId()]
+            if (step + 1) * hz // _HZ > step * hz // _HZ:
+                yield message
 
     def _state(self, yaw_rad: float) -> Iterator[Any]:
         latitude, longitude, height_m = TRUE_DEG
@@ -157,6 +174,8 @@ class SimulatedAutopilot:
                 self._apply(message)
             result = MAVLINK.MAV_RESULT_FAILED if self._uses_gnss else MAVLINK.MAV_RESULT_ACCEPTED
             yield MAVLINK.MAVLink_command_ack_message(message.command, result)
+        elif kind == "COMMAND_LONG" and self._loop_hz is not None:
+            yield MAVLINK.MAVLink_command_ack_message(message.command, self._interval(message, self._loop_hz))
         elif kind == "COMMAND_LONG":
             yield MAVLINK.MAVLink_command_ack_message(message.command, MAVLINK.MAV_RESULT_ACCEPTED)
         elif kind == "GLOBAL_POSITION_SENSOR" or (
@@ -166,6 +185,15 @@ class SimulatedAutopilot:
         elif kind == "PARAM_REQUEST_READ" and message.param_id in self._parameters:
             name, value = message.param_id, self._parameters[message.param_id]
             yield MAVLINK.MAVLink_param_value_message(name.encode(), value, MAVLINK.MAV_PARAM_TYPE_INT8, 900, 55)
+
+    def _interval(self, command: Any, loop_hz: float) -> int:
+        """Send a message at another rate, and return the result; an interval of 0 is the default, none here."""
+        number, hz = int(command.param1), 1e6 / command.param2 if command.param2 else 0.0
+        if number not in {*_BY_REQUEST, *_BY_ITSELF} or hz > 0.8 * loop_hz:
+            return int(MAVLINK.MAV_RESULT_DENIED)
+        if number in _BY_REQUEST:
+            self._granted_hz[number] = hz
+        return int(MAVLINK.MAV_RESULT_ACCEPTED)
 
     def _apply(self, fix: Any) -> None:
         """Use a position at the instant that the correction of jitter gives."""

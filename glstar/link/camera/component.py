@@ -100,6 +100,7 @@ class _Now(NamedTuple):
     boot_ms: int  # Time since the vehicle booted
     above_home_m: float  # Height of the vehicle
     sender: Sender
+    boot: int  # Number of the vehicle's boot
     gimbal: int = 0  # Component of the gimbal, or its number; 0 if none
 
     @classmethod
@@ -107,7 +108,8 @@ class _Now(NamedTuple):
         """Return the time of an arrival by `time.monotonic`, s, on the vehicle's clocks."""
         utc_s, boot_s = receiver.clock.now(host_s)
         boot_ms = round(boot_s * 1e3) % 2**32
-        return cls(host_s, utc_s, boot_ms, receiver.above_home_m, sender, receiver.gimbal.device)
+        boot = receiver.clock.boot
+        return cls(host_s, utc_s, boot_ms, receiver.above_home_m, sender, boot, receiver.gimbal.device)
 
 
 class _Series(NamedTuple):
@@ -296,7 +298,8 @@ class CameraComponent:
         before, before_s = self._latest.get(now.sender, ((), -inf))
         # A sequence number, or a count of confirmations, marks the repetition of a command.
         is_repeated = getattr(command, "confirmation", 0) > 0 and now.host_s - before_s < _REPEATED_S
-        this = (name, sequence)
+        # An autopilot numbers its commands from 1 after every boot.
+        this = (name, sequence, now.boot)
         if this == before and (sequence or is_repeated):
             return int(m.MAV_RESULT_ACCEPTED)
         if now.utc_s is None:
