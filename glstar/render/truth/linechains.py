@@ -178,7 +178,7 @@ class _Density(NamedTuple):
 
     @classmethod
     def of(cls, length: Float) -> Self:
-        """Return that of lines of some lengths, (p,)."""
+        """Return the light of lines of some lengths, (p,)."""
         is_short = length < _SHORT_SIGMA
         short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
         is_mixed = short.size and long.size

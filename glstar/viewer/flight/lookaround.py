@@ -37,7 +37,7 @@ _OUTLINE_POINTS = 17
 
 @dataclass(slots=True, eq=False)
 class LookAround:
-    """A camera that the user turns; it has no motion but that of the sky, and the sensor of the aircraft's camera."""
+    """A camera that the user turns; it moves with the sky only, and has the sensor of the aircraft's camera."""
 
     is_on: bool = False
     azimuth_rad: float = 0.0  # From north through east
@@ -163,7 +163,7 @@ class LookAround:
 
 
 def _from_axis(unit: Sequence[float], altitude_rad: float) -> tuple[float, float]:
-    """Return the azimuth from that of the axis, rad, and the sine of the altitude of a unit vector (3,) of the camera.
+    """Return the azimuth from the axis, rad, and the sine of the altitude of a unit vector (3,) of the camera.
 
     `altitude_rad`: of the camera.
     """
