@@ -139,8 +139,8 @@ def render_twin(
     """Return the image that the simulator makes of a photograph's stars.
 
     `config`: what the calibration wrote; `seed`: of the noise; `catalogue_brightness`: whether stars have the
-    catalogue's brightness, and not each that of the photograph.  Returns (height, width) uint8 or uint16: mirrored if
-    the photograph is.
+    catalogue's brightness instead of the photograph's.  Returns (height, width) uint8 or uint16: mirrored if the
+    photograph is.
     """
     calibration = model.calibration
     solution, reference = calibration.matches.solution, calibration.reference
@@ -187,7 +187,7 @@ def _pointing(reference: ReferenceStars, C_camera_eq: Float) -> Pointing:
 
 
 def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:
-    """Return the attitudes of a camera at rest on the ground, given that of mid-exposure, (n, 3, 3).
+    """Return the attitudes of a camera at rest on the ground, given its attitude at mid-exposure, (n, 3, 3).
 
     `fraction` is the time since the start of the exposure over its duration, (n,).
     """
@@ -286,7 +286,7 @@ def _clipped_rms(difference: Float) -> float:
 
 
 def _correlation(residual: Float, is_sky: NDArray[np.bool_]) -> float:
-    """Return the correlation of horizontal and vertical neighbours, without that of pixels at 6 px from each other."""
+    """Return the correlation of horizontal and vertical neighbours, less the correlation of pixels 6 px away."""
     scale = np.median(np.abs(residual[is_sky])) * 1.4826
     good = is_sky & (np.abs(residual) < 3.5 * max(float(scale), 0.5))
     noise = np.where(good, residual - residual[good].mean(), 0.0)

@@ -374,7 +374,7 @@ def _is_false(value: object) -> bool:
 
 
 def _number(key: str, value: object) -> float:
-    """Return a number, or that of a matrix of one number."""
+    """Return a number, or the only number of a matrix."""
     numbers = read_numbers(key, value) if isinstance(value, list | Mapping) else [read_number(key, value)]
     if len(numbers) != 1:
         raise CalibrationError(f"{key} holds {len(numbers)} numbers; it is one number")

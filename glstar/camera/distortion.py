@@ -280,7 +280,7 @@ def _tilt_rotation(coefficients: Coefficients) -> Float:
 
 
 def tilt_homography(coefficients: Coefficients) -> Float:
-    """Return the homography of a tilted sensor, (3, 3), that of OpenCV's computeTiltProjectionMatrix.
+    """Return the homography of a tilted sensor, (3, 3), as OpenCV's computeTiltProjectionMatrix does.
 
     `coefficients`: the 14 of `Lens.brown`.
     """

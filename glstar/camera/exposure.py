@@ -48,8 +48,8 @@ class Exposure:
         exposure, without sampling ripple at any turn rate.  ``"sprites"``: summed from sub-exposures during which the
         stars do not move, as in the paper.
     readout_s : float
-        Readout time of a rolling shutter, s: from the opening of the first row to that of the last; 0 for a global
-        shutter.
+        Readout time of a rolling shutter, s: from the opening of the first row to the opening of the last; 0 for a
+        global shutter.
     readout : {"down", "up", "left", "right"}
         Direction in which the rolling shutter proceeds: with ``"down"`` the top row is the first, with ``"right"`` the
         left column.
@@ -133,7 +133,7 @@ class Exposure:
 
     @property
     def signal_factor(self) -> int:
-        """The signal of the image over that of one short exposure: `frames` of a sum, 1 of a mean."""
+        """Ratio of the signals of the image and of one short exposure: `frames` of a sum, 1 of a mean."""
         return self.frames if self.stack == "sum" else 1
 
     @property
@@ -191,7 +191,7 @@ class Exposure:
 
     @property
     def mid_utc_s(self) -> float:
-        """The middle of the exposure, of a rolling shutter that of the middle row, UTC seconds since 1970."""
+        """The middle of the exposure, of the middle row with a rolling shutter, UTC seconds since 1970."""
         return self.start_utc_s + self.span_s / 2
 
     @property

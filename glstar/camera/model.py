@@ -298,7 +298,7 @@ def _pinhole_field_radius_rad(camera: Camera) -> float:
 def _lens_field_radius_rad(camera: Camera) -> float:
     """Return `Camera.field_radius_rad` behind a lens.
 
-    It is that of the border of the image, or the limit of the lens if a part of the border lies beyond it.
+    It is the largest angle of the border of the image, or the limit of the lens if a part of the border lies beyond it.
     """
     columns = np.linspace(-0.5, camera.width_px - 0.5, _SAMPLES_PER_SIDE)
     rows = np.linspace(-0.5, camera.height_px - 0.5, _SAMPLES_PER_SIDE)

@@ -104,7 +104,7 @@ class PhotoPixels:
 
 
 def has_image_signature(start: bytes) -> bool:
-    """Return whether the first 16 bytes of a file, or more, are those of an image format that glstar reads."""
+    """Return whether the first 16 bytes of a file, or more, begin an image of a format that glstar reads."""
     is_webp = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     return start.startswith((*_SIGNATURES, *_TIFF, _FITS)) or is_webp or _is_heif(start) or _is_raw_box(start)
 

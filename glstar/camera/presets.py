@@ -85,7 +85,7 @@ def preset_file(name: str) -> str | None:
 
 
 def is_sensor_mode(name: str) -> bool:
-    """Return whether a name is that of a sensor, or of a mode such as ``"imx477:2028x1520"``, not that of a camera."""
+    """Return whether a name belongs to a sensor, or to a mode such as ``"imx477:2028x1520"``, and not to a camera."""
     return preset_file(name) is not None or name.lower().partition(":")[0] in _sensor_presets()
 
 

@@ -114,7 +114,7 @@ def image_grid(camera: Camera, columns: int, rows: int) -> Float:
 
 
 def relative_solid_angle(camera: Camera, xy_px: ArrayLike) -> Float:
-    """Return the solid angle of pixels, (..., 2) px, over that of a pixel on the optical axis, (...).
+    """Return the solid angle of pixels, (..., 2) px, in units of a pixel on the optical axis, (...).
 
     It is cos^3 of the field angle for a pinhole, and 0 where the lens shows nothing.
     """

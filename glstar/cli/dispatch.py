@@ -116,7 +116,7 @@ class Program(TyperGroup):
         return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the commands in the order of ``glstar --help``, without those of two words."""
+        """Return the commands of one word in the order of ``glstar --help``."""
         return [name for name in super().list_commands(ctx) if " " not in name]
 
     def invoke(self, ctx: Any) -> Any:
@@ -167,7 +167,7 @@ class Command(TyperCommand):
         return [*map(kind, words), *items]
 
     def _name_of(self, ctx: Any) -> str:
-        """Return the name of the command without that of the program: ``camera show``."""
+        """Return the name of the command without the program's name: ``camera show``."""
         names = [ctx.info_name]
         while (ctx := ctx.parent) is not None and ctx.parent is not None:
             names.insert(0, ctx.info_name)

@@ -199,7 +199,7 @@ def log_of(flight: Path | None) -> Path:
 
 
 def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]:
-    """Return the given flights, by default that of ``[flight.synthetic]``, else the bundled one.
+    """Return the given flights, by default the flight of ``[flight.synthetic]``, else the bundled one.
 
     Raises ConfigError if both the command line and the config give a flight.
     """

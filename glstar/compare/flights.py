@@ -442,7 +442,7 @@ def _saturation_dn(pixels: NDArray[Any], sensor: Sensor, exposure: Exposure) -> 
 
 
 def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path, exposure: Exposure) -> Sensor:
-    """Return the sensor with the bit depth of a real image; that of a stacked image is the given one."""
+    """Return the sensor with the bit depth of a real image; a stacked image keeps the given one."""
     if exposure.frames > 1:
         largest_dn = exposure.full_scale_dn(sensor.saturation_dn)
         if int(pixels.max()) > largest_dn:

@@ -1,4 +1,4 @@
-"""Pairing of simulated trails with those of a real image, and their differences: eqs (44)-(46) and more."""
+"""Pairing of simulated trails with the trails of a real image, and their differences: eqs (44)-(46) and more."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -56,7 +56,7 @@ def exposed_paths(scene: Scene, direction_eq: Float) -> ExposedPaths:
 
     `scene`: of a single exposure, or of a stacked image; `direction_eq` (k, 3): geocentric apparent unit vectors, true
     equator and equinox.  Under a rolling shutter a path is sampled while the row of its star is open; a delay of the
-    exposure also delays its rows, so the time between samples is that of a star at rest.
+    exposure also delays its rows, so the time between samples is as for a star at rest.
     """
     if not scene.shorts:
         return _single(scene, direction_eq)
@@ -185,8 +185,8 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     """Return the trails of a scene that can be measured: complete, isolated and above the noise.
 
     `frame`: the rendered frame, with its noiseless signal; `noise_dn`: standard deviation of the real image's noise,
-    DN; `least_signal`: smallest signal-to-noise ratio of a whole trail; `most`: largest number of trails, those of the
-    highest signal-to-noise ratio.
+    DN; `least_signal`: smallest signal-to-noise ratio of a whole trail; `most`: largest number of trails; the trails of
+    the highest signal-to-noise ratio are kept.
 
     The motions of the Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay of the
     exposure (s), and a longer readout time with the same start of the exposure (s).  The last three are rotations about

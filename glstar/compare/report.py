@@ -46,7 +46,8 @@ def draw_plots(comparison: Comparison) -> bytes:
     """Return a PNG with plots of all pairs.
 
     Peak intensities, measured against simulated, of the three stars found most often and of all stars (the paper's
-    figure 8); centroid distances beside those of a straight line (figure 9); magnitudes, lengths, directions, shifts.
+    figure 8); centroid distances beside the distances on a straight line (figure 9); magnitudes, lengths, directions,
+    shifts.
     """
     figure = Figure(figsize=(15, 13.2))
     FigureCanvasAgg(figure)

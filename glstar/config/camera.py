@@ -100,7 +100,7 @@ class ExposureSection(Section):
 
     @property
     def signal_factor(self) -> int:
-        """The signal of an image over that of one short exposure: see `Exposure.signal_factor`."""
+        """Ratio of the signals of an image and of one short exposure: see `Exposure.signal_factor`."""
         return self.starting_at(0.0).signal_factor
 
     def starting_at(self, start_utc_s: float, duration_s: float | None = None) -> Exposure:

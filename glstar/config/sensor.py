@@ -78,7 +78,7 @@ class SensorSection(Section):
 
     @property
     def numbers(self) -> dict[str, EffectValue]:
-        """The keys of a `Sensor` of its noise model, in its order, then those of effects without a field there."""
+        """The keys of a `Sensor` of its noise model, in its order, then the keys of effects without a field there."""
         keys = self.model_dump(exclude={*_SOURCES, *_OPTICS, *_SKY})
         if self.noise == "paper":
             own = [name for name in keys if name not in _ELECTRON_KEYS and name != "noise"]
@@ -101,7 +101,7 @@ def noise_model_of(keys: Mapping[str, Any]) -> NoiseModel:
 
 
 def foreign_keys(keys: Iterable[str], noise: NoiseModel) -> list[str]:
-    """Return the keys of ``[sensor]`` that belong to the other noise model than that of the sensor."""
+    """Return the keys of ``[sensor]`` that belong to the noise model that the sensor does not have."""
     other = _ELECTRON_KEYS if noise == "paper" else frozenset(PAPER_KEYS)
     return [key for key in keys if key in other]
 

@@ -59,7 +59,7 @@ class SkySection(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_preset(cls, given: Any) -> Any:
-        """Replace the defaults of keys that are not given by those of the preset."""
+        """Replace the defaults of keys that are not given by the preset's values."""
         preset = given.get("preset") if isinstance(given, dict) else None
         return {**_PRESETS[preset], **given} if isinstance(preset, str) and preset in _PRESETS else given
 

@@ -3,7 +3,7 @@
 A directory of an export holds ``frame_000000.png`` and so on, ``truth.jsonl`` (one line a frame) and
 ``manifest.json`` (settings and versions).  Each file is written under a temporary name and renamed when it is complete.
 While an export runs its truth grows in ``truth.jsonl.partial``.  An export that was killed is continued by the same
-command, and the directory is then byte for byte that of one run.
+command, and the directory is then byte for byte the same as after one run.
 
 `prepare_export` reads a flight and plans its frames, and `Export.run` draws the missing ones.  The rooms, from the
 bottom to the top:

@@ -75,7 +75,7 @@ def frame_folders(directory: Path) -> list[Path]:
 
 
 def is_folder_name(name: str) -> bool:
-    """Return whether a name is that of a folder of frames."""
+    """Return whether a folder with this name holds frames."""
     return _FOLDER.fullmatch(name) is not None
 
 

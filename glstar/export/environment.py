@@ -132,7 +132,7 @@ class Environment:
         ----------
         action : Pose or float, optional
             The pose at the end of the step, if `reset` got one.  Otherwise the time from the start of the last exposure
-            to that of the next, s; by default ``exposure.interval_s``.
+            to the start of the next, s; by default ``exposure.interval_s``.
 
         Returns
         -------

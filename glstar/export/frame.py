@@ -4,7 +4,7 @@
 survive a power failure, in an order that is safe on every file system:
 
 1. the files of a frame are written under temporary names,
-2. flushed, together with those of other frames, on a background thread,
+2. flushed, together with the files of other frames, on a background thread,
 3. renamed, so that a file with its final name is complete,
 4. the line of truth is appended.
 

@@ -99,7 +99,7 @@ class Navigator:
         file``; ``utc``, ``q_body_ned`` and ``up_camera`` at start, middle and end of the exposure; ``duration_s,
         readout_s, readout, C_camera_body, camera``; and ``rates_rad_per_s`` (forward, right, down; the mean over the
         exposure).  ``position`` is null where GPS is denied.  ``conventions`` are the order of quaternions, the axes
-        and pixel positions, in words.  The estimated attitude is that of the time on the frame's stamp, which the
+        and pixel positions, in words.  The estimated attitude belongs to the time on the frame's stamp, which the
         clock's error moves.  ``q_body_ned``, ``rates_rad_per_s`` and ``up_camera`` are None where the estimate has a
         gap at that time.  With a gimbal, all attitudes are the platform's.  ``gimbal`` then has ``q_gimbal_aircraft``
         (from the aircraft to the platform, by the gimbal's joints) and ``q_aircraft_ned`` at the same instants.

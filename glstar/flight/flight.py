@@ -277,7 +277,7 @@ class CameraTriggers(TimedRecord):
 
     @staticmethod
     def _joined_numbers(parts: Sequence["CameraTriggers"]) -> Integer | None:
-        """Return the numbers of the images of several parts; None if a number is unknown, or is that of two images."""
+        """Return the numbers of the images of several parts; None if a number is unknown, or if two images have it."""
         known = [part.number for part in parts if part.number is not None]
         number = np.concatenate(known) if known and len(known) == len(parts) else np.empty(0, dtype=np.int64)
         return number if number.size and np.unique(number).size == number.size else None
@@ -322,7 +322,7 @@ class Flight:
     events : FlightEvents or None
         Flight modes and messages; None if the log has none.
     own_attitude : AttitudeTrack or None
-        The attitude of the aircraft, where `attitude` is that of a gimbal's platform; else None.
+        The attitude of the aircraft, where `attitude` is a gimbal platform's; else None.
     """
 
     attitude: AttitudeTrack

@@ -35,7 +35,7 @@ class Gimbal:
     def carried(self, flight: Flight) -> Flight:
         """Return a flight, also one that a gimbal has returned, with the attitude of the platform of the camera.
 
-        Its `aircraft_attitude` stays that of the aircraft.  Raises TelemetryError if the gimbal's attitude is not
+        Its `aircraft_attitude` stays the aircraft's.  Raises TelemetryError if the gimbal's attitude is not
         recorded.
         """
         own = flight.aircraft_attitude
@@ -50,7 +50,7 @@ class Gimbal:
     def _levelled(self, own: AttitudeTrack) -> AttitudeTrack:
         """Return the attitude of a level platform at the samples of the aircraft's attitude.
 
-        Its roll and pitch are those of the aircraft minus what the joints compensate; the joints follow with a
+        Its roll and pitch are the aircraft's minus what the joints compensate; the joints follow with a
         first-order lag, exactly for angles that are linear between samples, and begin again after each gap.
         """
         roll, pitch, heading = euler_from_quaternion(own.q_body_ned)

@@ -121,7 +121,7 @@ def gyro_aided(
 
     Between two attitude samples, which are kept, the rates are integrated.  The difference between the integrated and
     the logged turn, caused by gyro drift and by corrections of the estimator, is distributed linearly over the
-    interval.  The curve's rates at the samples are those of the gyros.
+    interval.  The curve's rates at the samples are the gyros' rates.
 
     - `t_s` (n,) n >= 2: times of the attitudes, s, strictly increasing.
     - `q_body_ned` (n, 4): unit quaternions (w, x, y, z).
@@ -130,7 +130,7 @@ def gyro_aided(
       finite, faster than 3000 deg/s, or more than 300 deg/s away from both neighbours are dropped.
     - `broken` (n - 1,) bool: intervals between attitudes that are gaps: no samples are added there.
 
-    Timestamps of gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, which increases the error
+    Timestamps of gyros may lag behind the attitude's, by 9.8 ms in a log at 50 Hz, which increases the error
     fourfold; the lag is estimated and removed (`gyro_lag_s`).  Where the gyros have a data gap of three intervals or
     more, no samples are added and the curve is `RotationSpline.through` the attitudes.
     """

@@ -26,7 +26,7 @@ class MountError:
     yaw_rad: float = 0.0
 
     def applied(self, C_camera_body: Float) -> Float:
-        """Return the rotation matrix from the body to the real camera, (3, 3), given that of the nominal mount."""
+        """Return the rotation matrix from the body to the real camera, (3, 3), given the nominal mount's matrix."""
         turn = np.array([self.roll_rad, self.pitch_rad, self.yaw_rad])
         return np.asarray(C_camera_body @ matrix_from_quaternion(quaternion_from_turn(turn)))
 

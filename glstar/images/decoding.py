@@ -104,8 +104,8 @@ def rectify(image: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], Camera]:
     `image` is (height, width) or (height, width, channels) of uint8, uint16, int16, float32 or float64; row 0 is the
     top.  The result is zero where the lens has no image; without a lens it is the image itself.  Values are
     interpolated (bicubic): the level of the sky is preserved, and the flux of a star changes with the local
-    magnification of the lens; centroids are preserved.  Raises CalibrationError if the size of the image is not that of
-    the camera, or its numbers are of another type.  Teague & Chahl, section 2.3.
+    magnification of the lens; centroids are preserved.  Raises CalibrationError if the image has another size than the
+    camera, or its numbers are of another type.  Teague & Chahl, section 2.3.
     """
     if image.shape[:2] != (camera.height_px, camera.width_px):
         raise CalibrationError(

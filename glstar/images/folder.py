@@ -305,8 +305,8 @@ def triggered_images(
     """Return images with the times of a camera's triggers: the first by name was taken at the first trigger.
 
     `paths`: folders, and image files; `at`: which camera, see `Flight.triggers_of`; `delay_s`: time from a trigger to
-    the opening of the shutter, s.  Raises ImagesError if there is no such folder or file, or the number of triggers is
-    not that of the images, and ConfigError if the log has no such triggers.
+    the opening of the shutter, s.  Raises ImagesError if there is no such folder or file, or the numbers of triggers
+    and images differ, and ConfigError if the log has no such triggers.
     """
     files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
     if missing := [path for path in files if not path.exists()]:

@@ -107,10 +107,10 @@ def exposure_of(
     """Return the exposure to simulate for a real image.
 
     `wanted`: the configured exposure: its rate, and its duration if the image's own is unknown or not used; a stacked
-    image has the configured durations, because its own may be that of each short exposure, or of all; `reference`: the
-    instant that the image's time refers to, if the source does not state it; `ahead_s`: by how much the camera's clock
-    is ahead of the log's, s; `own_length`: whether to use the image's own exposure time.  The exposure may lie outside
-    of the flight.
+    image has the configured durations, because its own duration may hold for each short exposure, or for all;
+    `reference`: the instant that the image's time refers to, if the source does not state it; `ahead_s`: by how much
+    the camera's clock is ahead of the log's, s; `own_length`: whether to use the image's own exposure time.  The
+    exposure may lie outside of the flight.
     """
     own_s = time.exposure_s if wanted.frames == 1 else None
     duration_s = own_s if own_length and own_s is not None else wanted.duration_s

@@ -3,10 +3,9 @@
 =============================  =====================================================================================
 message                        time since boot of the autopilot
 =============================  =====================================================================================
-GIMBAL_DEVICE_ATTITUDE_STATUS  that of the message if the autopilot sends it; a gimbal has a clock of its own, which
-                               is related to that of the autopilot by the packets with the smallest delay
-MOUNT_ORIENTATION              the same
-MOUNT_STATUS                   that of its arrival, without the smallest delay of the link
+GIMBAL_DEVICE_ATTITUDE_STATUS  that of the message if the autopilot sends it; a gimbal has a clock of its own; the
+packets with the smallest delay relate it to the autopilot's clock MOUNT_ORIENTATION              the same MOUNT_STATUS
+that of its arrival, without the smallest delay of the link
 =============================  =====================================================================================
 
 The frames of reference and units are those of `glstar.telemetry.mavlink.vehicles`.

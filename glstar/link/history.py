@@ -42,8 +42,8 @@ _INITIAL_ROWS = 4096
 class RowBuffer:
     """A buffer with the latest rows of numbers.
 
-    When space is needed, rows are dropped that exceed the largest number of rows, `most`, or the largest difference of
-    the first column to that of the latest row, `span`.
+    When space is needed, rows are dropped that exceed the largest number of rows, `most`, or whose first column differs
+    from the latest row's by more than `span`.
     """
 
     def __init__(self, columns: int, most: int, span: float = np.inf) -> None:

@@ -85,7 +85,8 @@ class Packer:
 class Requests:
     """Requests messages from one autopilot until they are received.
 
-    `rate_hz` is the requested rate of the attitude, Hz; with `wants_gimbal` that of a gimbal is requested as well.
+    `rate_hz` is the requested rate of the attitude, Hz; with `wants_gimbal` the attitude of a gimbal is requested as
+    well.
     """
 
     def __init__(self, rate_hz: float, *, wants_gimbal: bool = False) -> None:

@@ -91,7 +91,7 @@ class Received:
             return None
 
     def estimate(self, options: FlightOptions) -> Estimate | None:
-        """Return what the autopilot estimates, if the sky is that of a simulator and its attitude is known."""
+        """Return what the autopilot estimates, if the sky is a simulator's and its attitude is known."""
         if self.estimated is None:
             return None
         return self.estimated.estimate(self.utc_minus_boot_s, attitude_source=self.estimate_source, options=options)
@@ -259,14 +259,14 @@ class Link:
             self._receiver = receiver
 
     def set_site(self, site: Site) -> None:
-        """Use a given position instead of that of the link."""
+        """Use a given position instead of the link's."""
         with self._changed:
             self._options = replace(self._options, site=site)
 
     def follow_gimbal(self, on_gimbal: bool) -> None:
         """Choose whether the camera is on a gimbal.
 
-        If so, the `attitude` of a flight is that of the platform and ends at its latest one; without one there is no
+        If so, the `attitude` of a flight is the platform's and ends at its latest sample; without one there is no
         flight.
         """
         self._requests.wants_gimbal = on_gimbal

@@ -76,7 +76,7 @@ class SerialPort(Protocol):
 
 
 def serial_ports() -> list[SerialPort]:
-    """Return the serial ports of this computer, without those of the mainboard that do not exist physically."""
+    """Return the serial ports of this computer, without ports of the mainboard that do not exist physically."""
     from serial.tools.list_ports import comports  # noqa: PLC0415 - when serial ports are listed
 
     return sorted((port for port in comports() if port.hwid != "n/a"), key=lambda port: port.device)

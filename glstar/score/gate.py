@@ -201,7 +201,7 @@ def _scope_fault(table: Mapping[str, Any]) -> str | None:
 
 
 def gate_note(limits: Sequence[GateLimit]) -> str | None:
-    """Return what limits leave open: errors are those of solved frames, be it one; None if they say how many."""
+    """Return what limits leave open: errors are taken from solved frames, be it one; None if they say how many."""
     errors = [limit.metric for limit in limits if limit.metric in _ERRORS]
     if not errors or any(limit.metric in _COVERAGE for limit in limits):
         return None

@@ -99,7 +99,7 @@ _KINDS = (
 
 
 def refuse_irregular(mode: int) -> None:
-    """Raise ValueError, which continues "PATH: ", if the ``st_mode`` is that of a directory, pipe, device or socket."""
+    """Raise ValueError, which continues "PATH: ", if the ``st_mode`` says directory, pipe, device or socket."""
     for is_kind, message in _KINDS:
         if is_kind(mode):
             raise ValueError(message)

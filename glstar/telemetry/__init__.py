@@ -154,7 +154,7 @@ def open_flight(
     columns : str, optional
         What the columns of a table mean; see `column_map`.
     position : str, optional
-        A GPX, KML, KMZ, NMEA or IGC file with the positions of the flight; they replace those of the log.
+        A GPX, KML, KMZ, NMEA or IGC file with the positions of the flight; they replace the log's.
     vehicle : str, optional
         The vehicle, in a log of several: its name space in a ROS bag, or its MAVLink system, as `sysid`.
 

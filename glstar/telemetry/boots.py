@@ -104,7 +104,7 @@ class _Boot:
         return sum(piece.records for piece in self.pieces)
 
     def overlaps(self, other: _Piece) -> bool:
-        """Return whether the times of a piece overlap with those of the boot by more than a second."""
+        """Return whether the times of a piece and of the boot overlap by more than a second."""
         return any(
             piece.first_s < other.last_s - _OVERLAP_S and other.first_s < piece.last_s - _OVERLAP_S
             for piece in self.pieces

@@ -105,11 +105,11 @@ class RecordedLog:
         return replace(flight, notes=(*flight.notes, *self._notes(left_out)))
 
     def recordings_of_flight(self, site: PositionTrack | None = None) -> list[Recording]:
-        """Return the boots of the flight, sorted by time; `site`: the position that replaces those of the log."""
+        """Return the boots of the flight, sorted by time; `site`: the position that replaces the log's positions."""
         return [self.recordings[number] for number in self._boots_of_flight(site)[0]]
 
     def summaries(self, *, site: PositionTrack | None = None) -> tuple[BootSummary, ...]:
-        """Return a summary of each boot; `site`: the position that replaces those of the log."""
+        """Return a summary of each boot; `site`: the position that replaces the log's positions."""
         _, left_out = self._boots_of_flight(site)
         return tuple(self._summary(boot, left_out) for boot in self.boots)
 

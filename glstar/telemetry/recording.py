@@ -59,14 +59,14 @@ class FlightOptions:
 
     @property
     def position(self) -> PositionTrack | None:
-        """The position that replaces those of the log; None without one."""
+        """The position that replaces the log's positions; None without one."""
         if self.track is not None:
             return self.track.track
         return None if self.site is None else PositionTrack.fixed(self.site)
 
     @property
     def position_source(self) -> str:
-        """Where the position that replaces those of the log comes from, for messages."""
+        """Where the position that replaces the log's comes from, for messages."""
         return "given" if self.track is None else self.track.source
 
     def notes(self, attitude: AttitudeTrack, name: str) -> tuple[str, ...]:

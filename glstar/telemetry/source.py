@@ -1,7 +1,7 @@
 """What all readers share: the interface `TelemetrySource`, batches of samples, and removal of damaged samples.
 
 A source yields `Samples` in batches: attitudes, positions, readings of UTC, gyro rates, triggers, gimbal and events.
-Their times are those of the source's own clock; an autopilot counts seconds since boot.  A `Recording` collects the
+Their times are by the source's own clock; an autopilot counts seconds since boot.  A `Recording` collects the
 samples of a boot and converts their times to UTC.  `UnpackedSource` is a log that is made of another file in a
 temporary directory: unpacked, or completed.
 """

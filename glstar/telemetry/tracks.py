@@ -382,7 +382,7 @@ def _nmea(text: str, passed: Counter[str]) -> Iterator[_Fix]:
 def _nmea_dated(sentences: list[list[str]], passed: Counter[str]) -> list[tuple[float, list[str]]]:
     """Return UTC, s since 1970, and fields of the sentences RMC and GGA.
 
-    A sentence without a date has that of the one before or after it whose time of day is nearer.
+    A sentence without a date has the date of its neighbour whose time of day is nearer.
     """
     undated: list[tuple[float, list[str]]] = []
     dated: list[tuple[float, list[str]]] = []

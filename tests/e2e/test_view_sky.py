@@ -80,7 +80,7 @@ def ask_for_sky(window: RealWindow, places: Places) -> None:
 
 
 def look_around(window: RealWindow, places: Places) -> None:
-    """Centre the Moon, drag it, centre it again, and zoom."""
+    """Centre the Moon, drag it to and fro, centre it again, and zoom."""
     before = window.still()
     # The sky under a bright Moon is not white.
     assert np.median(places.image(before)) < 90
@@ -97,9 +97,13 @@ def look_around(window: RealWindow, places: Places) -> None:
 
     centre()
     x, y = middle.astype(int).tolist()
-    window.drag((x, y), (x + 60, y - 30))
-    window.away()
-    window.until(lambda screen: is_at(screen, middle + np.array([60, -30])), "the Moon under the mouse")
+    at = x, y
+    # Far from the middle too, from corner to corner.
+    for to in (x + 60, y - 30), (x - 300, y - 160), (x + 280, y + 90):
+        window.drag(at, to)
+        window.away()
+        window.until(lambda screen, to=to: is_at(screen, np.array(to)), f"the Moon under the mouse at {to}")
+        at = to
     centre()
     label = window.still()[line_of(places)]
     window.wheel(x, y, 8)

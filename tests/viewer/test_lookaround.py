@@ -1,15 +1,17 @@
 """Looking around with a free camera, and the sky of a place and a time."""
 
 import json
-from math import degrees, radians
+from dataclasses import replace
+from math import degrees, pi, radians
 
 import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.render.scene.scene import Frame
+from glstar.render.scene.scene import Frame, Scene
 from glstar.render.truth.frame import frame_truth
 from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.flight.lookaround import LookAround
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.session.actions import is_on, perform
 from glstar.viewer.session.keys import Action
@@ -29,6 +31,55 @@ def looking(viewer, **view: float):
     return viewer.session.look
 
 
+def position(look: LookAround, azimuth_rad: float, altitude_rad: float) -> np.ndarray:
+    """Return where a direction is on the image, px: r = 2 f tan(theta / 2)."""
+    across = azimuth_rad - look.azimuth_rad
+    sine, cosine = np.sin(altitude_rad), np.cos(altitude_rad)
+    right = cosine * np.sin(across)
+    up = sine * np.cos(look.altitude_rad) - cosine * np.cos(across) * np.sin(look.altitude_rad)
+    ahead = sine * np.sin(look.altitude_rad) + cosine * np.cos(across) * np.cos(look.altitude_rad)
+    width, height = look.size_px
+    scale = (width / 2) / np.tan(look.field_rad / 4) / (1 + ahead)
+    return np.array([(width - 1) / 2 + scale * right, (height - 1) / 2 - scale * up])
+
+
+def random_grabs(field_deg: float, count: int = 300):
+    """Yield a camera, a direction on its image, its position there, px, and another position."""
+    rng = np.random.default_rng(7)
+    while count:
+        look = LookAround(
+            azimuth_rad=rng.uniform(0, 2 * pi), altitude_rad=rng.uniform(-1.2, 1.2), field_rad=radians(field_deg)
+        )
+        azimuth_rad, altitude_rad = rng.uniform(0, 2 * pi), np.arcsin(rng.uniform(-1, 1))
+        if field_deg < 20:  # few of all directions are on the image
+            azimuth_rad = look.azimuth_rad + rng.uniform(-0.5, 0.5) * look.field_rad
+            altitude_rad = look.altitude_rad + rng.uniform(-0.5, 0.5) * look.field_rad
+        at, to = position(look, azimuth_rad, altitude_rad), rng.uniform(-0.5, [799.5, 599.5])
+        if look.camera.contains(at):
+            count -= 1
+            yield look, (azimuth_rad, altitude_rad), at, to
+
+
+def direction_at(scene: Scene, xy_px: np.ndarray) -> np.ndarray:
+    """Return the direction, true equator and equinox, that is drawn at a position after refraction."""
+    at = np.array(xy_px)
+    for _ in range(4):
+        direction_eq = scene.camera.unit_vectors(at) @ scene.shutter[1:2].C_camera_eq[0]
+        at += xy_px - drawn_at(scene, direction_eq)
+    return direction_eq
+
+
+def drawn_at(scene: Scene, direction_eq: np.ndarray) -> np.ndarray:
+    place = object_place(scene, direction_eq)
+    return np.array([place.x_px, place.y_px])
+
+
+def can_show(look: LookAround, altitude_rad: float, xy_px: np.ndarray) -> bool:
+    """Return whether a level camera can have a direction of this altitude at a position; clearly, not just."""
+    _, down, ahead = look.camera.unit_vectors(xy_px)
+    return abs(np.sin(altitude_rad)) < 0.999 * np.hypot(down, ahead)
+
+
 def test_tab_frees_the_camera_and_returns_to_the_aircraft_s(viewer):
     session = viewer.session
     own = session.scene.camera
@@ -45,7 +96,7 @@ def test_tab_frees_the_camera_and_returns_to_the_aircraft_s(viewer):
 def test_the_projection_of_the_free_camera_is_stereographic(viewer):
     """Altitude and azimuth of the drawn stars give their positions: r = 2 f tan(theta / 2)."""
     look = looking(viewer, azimuth_rad=radians(350.0), altitude_rad=radians(40.0), field_rad=radians(150.0))
-    scene, (width, height) = viewer.session.scene, look.size_px
+    scene, width = viewer.session.scene, look.size_px[0]
     assert scene.camera.width_px == width
     truth = json.loads(
         frame_truth(scene, Frame(viewer.session.image.pixels, scene.exposure, seed=0), number=0, file="")
@@ -55,13 +106,7 @@ def test_the_projection_of_the_free_camera_is_stereographic(viewer):
     for star in stars:
         index = np.flatnonzero(scene.stars.star_id == star["star_id"])[0]
         place = object_place(scene, scene.stars.direction_eq[index])
-        across = place.azimuth_rad - look.azimuth_rad
-        sine, cosine = np.sin(place.altitude_rad), np.cos(place.altitude_rad)
-        right = cosine * np.sin(across)
-        up = sine * np.cos(look.altitude_rad) - cosine * np.cos(across) * np.sin(look.altitude_rad)
-        ahead = sine * np.sin(look.altitude_rad) + cosine * np.cos(across) * np.cos(look.altitude_rad)
-        scale = (width / 2) / np.tan(look.field_rad / 4) / (1 + ahead)
-        expected = (width - 1) / 2 + scale * right, (height - 1) / 2 - scale * up
+        expected = position(look, place.azimuth_rad, place.altitude_rad)
         np.testing.assert_allclose([star["x_px"], star["y_px"]], expected, rtol=0, atol=0.02)
 
 
@@ -77,20 +122,73 @@ def test_the_field_of_view_stays_between_2_and_180_deg(viewer):
     assert viewer.session.image.error == ""
 
 
-def test_a_dragged_star_follows_the_mouse(viewer):
-    look = looking(viewer, azimuth_rad=0.0, altitude_rad=0.3, field_rad=radians(60.0))
-    middle_eq = viewer.session.scene.shutter[1:2].boresight_eq[0]
-    before = object_place(viewer.session.scene, middle_eq)
-    look.turn(5.0, -3.0)
-    viewer.frame(0.0)
-    place = object_place(viewer.session.scene, middle_eq)
-    np.testing.assert_allclose([place.x_px - before.x_px, place.y_px - before.y_px], [5.0, -3.0], rtol=0, atol=0.1)
+@pytest.mark.parametrize("field_deg", [2.0, 20.0, 60.0, 100.0, 150.0, 180.0])
+def test_a_star_grabbed_anywhere_stays_under_the_mouse(field_deg):
+    """Drags across the image and short ones of single pixels; the camera turns up to the zenith, not beyond."""
+    checked = 0
+    for look, star, at, to in random_grabs(field_deg):
+        short = at + 30 * (to - at) / np.linalg.norm(to - at)
+        for path in ([to], np.linspace(at, short, 31)[1:]):
+            dragged = replace(look)
+            dragged.grab(*at)
+            for mouse in path:
+                dragged.drag(*mouse)
+            if abs(dragged.altitude_rad) < pi / 2 and can_show(look, star[1], path[-1]):
+                np.testing.assert_allclose(position(dragged, *star), path[-1], rtol=0, atol=0.5)
+                checked += 1
+    assert checked > 600 * (0.95 if field_deg <= 60 else 0.7)
+
+
+@pytest.mark.parametrize("field_deg", [80.0, 110.0, 140.0])
+def test_a_star_that_no_level_camera_has_under_the_mouse_comes_as_near_as_it_can(field_deg):
+    """Against cameras of all altitudes, each turned so that the star is above, below or on the position."""
+    checked = 0
+    for look, (azimuth_rad, altitude_rad), at, to in random_grabs(field_deg, 1000):
+        unit = look.camera.unit_vectors(to)
+        if abs(np.sin(altitude_rad)) < np.hypot(*unit[1:]):
+            continue
+        look.grab(*at)
+        for mouse in np.linspace(at, to, 50):
+            look.drag(*mouse)
+        star = look.camera.unit_vectors(position(look, azimuth_rad, altitude_rad))
+        at_altitudes = np.linspace(-pi / 2, pi / 2, 2001)
+        altitudes_rad = np.arcsin(unit[2] * np.sin(at_altitudes) - unit[1] * np.cos(at_altitudes))
+        nearest_rad = np.abs(altitudes_rad - altitude_rad).min()
+        assert np.arccos(star @ unit) == pytest.approx(nearest_rad, abs=radians(0.1))
+        checked += 1
+    assert checked >= 40
+
+
+def test_near_the_zenith_the_sky_does_not_spin():
+    """A star 2 px from the zenith would turn the horizon by a quarter if it stayed under the mouse."""
+    look = LookAround(azimuth_rad=1.0, altitude_rad=radians(80.0), field_rad=radians(100.0))
+    at = position(look, 1.0, pi / 2 - radians(0.3))
+    look.grab(*at)
+    for step in range(1, 20):
+        before = look.azimuth_rad, look.altitude_rad
+        look.drag(at[0] + step, at[1] + 0.3 * step)
+        assert abs(look.azimuth_rad - before[0]) < radians(3.0)
+        assert abs(look.altitude_rad - before[1]) < radians(3.0)
+
+
+def test_the_drawn_star_stays_under_the_mouse(viewer):
+    """In the corner of a view of 180 deg, with the light of the sky drawn again after each step."""
+    look = looking(viewer, azimuth_rad=0.5, altitude_rad=0.4, field_rad=pi)
+    at = np.array([0.2, 0.25]) * look.size_px
+    direction_eq = direction_at(viewer.session.scene, at)
+    look.grab(*at)
+    for mouse in at + np.array([[30, 0], [120, 80], [60, -40]]):
+        look.drag(*mouse)
+        viewer.frame(0.0)
+        np.testing.assert_allclose(drawn_at(viewer.session.scene, direction_eq), mouse, rtol=0, atol=0.05)
 
 
 def test_a_drag_in_one_slow_frame_turns_the_camera_and_selects_nothing(viewer):
     """A window of few frames a second sees movement and release together."""
     look = looking(viewer, azimuth_rad=1.0, altitude_rad=0.3, field_rad=radians(60.0))
     press(viewer, "H")  # the image fills the window
+    grabbed, released = viewer.session.view.to_picture([[400.0, 300.0], [440.0, 300.0]])
+    direction_eq = direction_at(viewer.session.scene, grabbed)
     io = imgui.get_io()
     for event in (
         lambda: io.add_mouse_pos_event(400.0, 300.0),
@@ -100,8 +198,8 @@ def test_a_drag_in_one_slow_frame_turns_the_camera_and_selects_nothing(viewer):
     ):
         event()
         viewer.frame(0.0)
-    rad_per_px = 4 * np.tan(look.field_rad / 4) / look.size_px[0]
-    assert look.azimuth_rad == pytest.approx(1.0 - 40 * rad_per_px / np.cos(0.3), abs=1e-6)
+    np.testing.assert_allclose(drawn_at(viewer.session.scene, direction_eq), released, rtol=0, atol=0.05)
+    assert look.azimuth_rad < 0.99
     assert viewer.interface.selection.selected is None
 
 

@@ -317,6 +317,18 @@ def test_no_two_labels_overlap_and_none_leaves_the_window(yawing_scene):
             assert x >= u + w or u >= x + width or y >= v + h or v >= y + height
 
 
+@pytest.mark.parametrize(
+    ("overlay", "name"),
+    [(Overlay.STAR_NAMES, "Rigel"), (Overlay.CONSTELLATIONS, "Orion"), (Overlay.DEEP_SKY, "M42")],
+)
+def test_the_selected_object_has_no_label_beside_its_mark(yawing_scene, overlay, name):
+    without = labels_of(shapes_of(yawing_scene, overlay, selected=name), overlay)
+    labels = labels_of(shapes_of(yawing_scene, overlay), overlay)
+    assert name in labels
+    assert name not in without
+    assert without.keys() >= labels.keys() - {name}
+
+
 def test_centroid_marks_are_at_the_centroids_of_the_truth(yawing_scene):
     (marks,) = shapes_of(yawing_scene, Overlay.CENTROIDS, centroid_vmag_limit=4.0).marks
     truth = [star for star in truth_of(yawing_scene) if star["vmag"] <= 4.0]

@@ -155,6 +155,36 @@ def test_a_click_selects_the_star_under_the_mouse_and_one_beside_it_none(viewer)
     np.testing.assert_allclose([truth["x_px"], truth["y_px"]], [place.x_px, place.y_px], rtol=0, atol=0.01)
 
 
+def test_the_selected_star_is_named_once(viewer, monkeypatch):
+    """At its ring alone; before and after it is named by the overlay, at the end of its trail."""
+    written = []
+
+    def record(_list, _x, _y, _ink, text):
+        written.append(text)
+
+    monkeypatch.setattr("glstar.viewer.ui.panels.imagelayers.draw_edged_text", record)
+    monkeypatch.setattr("glstar.viewer.ui.panels.image.draw_edged_text", record)
+    scene, session, interface = viewer.session.scene, viewer.session, _interface(viewer)
+    session.name_vmag_limit = 4.0
+    viewer.frame(0.0)
+    names = {name for name in written if name in scene.stars.name}
+    search = interface.selection.search(session.loaded.simulator.sky.catalogue)
+    selected = 0
+    for index in scene.visible:
+        star = search.star(int(scene.stars.star_id[index]))
+        if star.name in names:
+            interface.selection.select(star, session.image.simulator, scene)
+            written.clear()
+            viewer.frame(0.0)
+            assert written.count(star.name) == 1
+            selected += 1
+    assert selected > 2
+    interface.selection.select(None, session.image.simulator, scene)
+    written.clear()
+    viewer.frame(0.0)
+    assert names <= set(written)
+
+
 def test_at_night_the_panel_is_red_only(viewer):
     scene, interface = viewer.session.scene, _interface(viewer)
     places = [(object_place(scene, scene.stars.direction_eq[index]), index) for index in scene.visible[:20]]

@@ -203,7 +203,7 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[Note, ...]:
 
 
 def _flat_keys(sensor: Sensor) -> dict[str, Any]:
-    """Return the keys of ``[sensor]``, with those of its effects."""
+    """Return the keys of ``[sensor]`` and of its effects."""
     keys = {key: value for key, value in sensor.keys.items() if key != "effects"}
     own = {key: value for key, value in sensor.effects.items() if key.startswith("sensor.")}
     return keys | {key.removeprefix("sensor."): value for key, value in own.items()}

@@ -302,7 +302,7 @@ def matches_of(
 
 
 def with_refraction(sd: dict[str, float], reference: ReferenceStars, solution: PlateSolution) -> dict[str, float]:
-    """Return standard errors of a camera's parameters with those of a refraction that time and site do not state."""
+    """Return standard errors of a camera's parameters, including the refraction if time and site do not state it."""
     of_focal, of_point = reference.refraction_error(solution.C_camera_eq[2])
     more = {"fx_px": of_focal, "cx_px": of_point, "cy_px": of_point}
     f_px = solution.camera.fx_px

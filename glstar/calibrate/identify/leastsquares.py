@@ -95,7 +95,7 @@ class IdentifiedStars:
         return float(np.max(np.arctan2(np.hypot(x, y), z)))
 
     def corner_fraction(self, camera: Camera) -> float:
-        """Return the distance of the outermost star from the principal point over that of the farthest corner.
+        """Return the distance of the outermost star from the principal point, in distances of the farthest corner.
 
         For a fisheye, over the radius at 90 deg or of its image circle, if that is smaller: there stars may end.
         """

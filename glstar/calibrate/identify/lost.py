@@ -117,7 +117,7 @@ def _judged(
     refined: Matches | None,
     is_clear: Callable[[Float], Mask] | None,
 ) -> Matches:
-    """Return the matches of some detections as those of all, if chance cannot explain them."""
+    """Return the matches of some detections as matches among all detections, if chance cannot explain them."""
     if is_clear is None or refined is None:
         return require_significant(some, refined)
     # Stars behind leaves cannot be expected among them.
@@ -131,7 +131,7 @@ def _clear_parts(detected: DetectedStars, camera: Camera) -> Callable[[Float], M
     """Return which positions (n, 2), px, lie outside the crowded parts of an image; None if there are none.
 
     Leaves and roofs have more detections for their area than stars have: a part is crowded if it and its neighbours
-    have far more than those of the emptiest third.  It returns (n,) bool.
+    have far more detections than the emptiest third.  It returns (n,) bool.
     """
     size_px = np.array([camera.width_px, camera.height_px])
     side_px = max(size_px) / _PARTS

@@ -266,9 +266,9 @@ def offset_probability(
     """Return the probability that each match is real, with the scatter measured on the matches themselves.
 
     `offset_px` (n, 2): detected minus predicted position, px, the brightest star of the catalogue first; `matched` (n,)
-    bool: whether the star has a match; `scale` (n,): standard deviation of a star's position over that of the others;
-    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,): 0 for stars without
-    a match.
+    bool: whether the star has a match; `scale` (n,): ratio of the standard deviations of a star's position and of the
+    other stars' positions; `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns
+    (n,): 0 for stars without a match.
     """
     separation_px = np.where(matched, np.linalg.norm(offset_px, axis=1), np.inf)
     probability = matched.astype(np.float64)

@@ -22,7 +22,7 @@ _STEP_S = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowTurns:
-    """The turn of the aircraft between the middle of an exposure and that of each row."""
+    """The turn of the aircraft from the middle of an exposure to the middle of each row."""
 
     attitude: AttitudeTrack
     utc_s: float  # UTC at the middle of the exposure of the middle row, by the log's clock, seconds since 1970

@@ -50,7 +50,7 @@ class Photograph:
 
     @property
     def output_keys(self) -> dict[str, str | float | bool]:
-        """The keys of ``[output]`` with which a simulated camera processes as that of the photograph did."""
+        """The keys of ``[output]`` with which a simulated camera processes images as the photograph's camera did."""
         if self.gamma == "linear":
             return {}
         return {"output.process": "isp", "output.subtract_black": False, "output.gamma": self.gamma}
@@ -66,7 +66,7 @@ def read_image(
 ) -> Photograph:
     """Return an image as one channel, as the sensor read it.
 
-    The file is of any format of `glstar.camera.photofile`.  `channel` is that of a colour image: ``"value"`` is the V
+    The file is of any format of `glstar.camera.photofile`.  `channel` of a colour image: ``"value"`` is the V
     of HSV, the brightest of the three (Teague & Chahl, section 2.5).  `bit_depth` is that of the converter if it is
     smaller than that of the file: 12 for a raw image in 16 bits, whether its numbers are in the lowest bits or,
     left-aligned, in the highest.  Its default is 8, or for a 16-bit file the depth that its empty bits prove or whose

@@ -334,7 +334,7 @@ def _axis(offset: Float, sigma: Float, *, widened: bool) -> tuple[Float, Float, 
 
 
 def _step(solution: Float, *, width_free: bool) -> Float:
-    """Return the step of each star, (n, 5), from that of its free parameters; 0 for fixed parameters."""
+    """Return the step of each star, (n, 5), from the step of its free parameters; 0 for fixed parameters."""
     step = np.zeros((len(solution), 5))
     # In one step a star moves by at most a pixel, and widens by at most half.
     step[:, 0], step[:, 4] = solution[:, 0], solution[:, 3]
@@ -365,7 +365,7 @@ _VARIANCE_FRACTION = 1 / 11
 def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float | None:
     """Return the median length of the trails of the brightest stars without unusable pixels, px; 0 if they are round.
 
-    The parameters are those of `star_shapes`.  Trails are those of stars if most of them are alike; it is None for
+    The parameters are those of `star_shapes`.  Trails belong to stars if most of them are alike; it is None for
     fewer than six stars.
     """
     xx, yy, xy = star_shapes(above_dn, usable, xy_px, sigma_px)

@@ -88,8 +88,8 @@ def measure_sky(image: Photograph, detected: DetectedStars, more_px: Float) -> S
     """Return the level of the sky over an image.
 
     `more_px` (n, 2): positions of undetected stars, px.  A mean of the starless pixels around each texel, weighted
-    with a Gaussian of half a texel, clipped at 3.5 standard deviations.  Where the sky is cut off at 0 DN, the level
-    is that of the Gaussian whose cut-off mean was measured.
+    with a Gaussian of half a texel, clipped at 3.5 standard deviations.  Where the sky is cut off at 0 DN, the level is
+    the mean of the Gaussian before the cut.
     """
     pixels = image.pixels_dn
     is_sky = starless_pixels(image, detected, more_px)
@@ -123,9 +123,10 @@ def _at_pixels(texels: Float, shape: tuple[int, int]) -> Float:
 
 
 def before_clipping(cut_mean: Float, cut_std: Float) -> tuple[Float, Float]:
-    """Return mean and standard deviation of Gaussians whose values below 0 became 0, from those of what is left.
+    """Return mean and standard deviation of Gaussians whose values below 0 became 0.
 
-    `cut_mean`, `cut_std` (...): DN.  Returns `mean, std` (...): DN; the mean is at least -2 standard deviations.
+    `cut_mean`, `cut_std` (...): mean and standard deviation afterwards, DN.  Returns `mean, std` (...): DN; the mean is
+    at least -2 standard deviations.
     """
     z = np.linspace(-2.0, 6.0, 801)
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)

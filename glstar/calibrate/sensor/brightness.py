@@ -387,8 +387,8 @@ def recorded_brightness(
 
     `terms`: what their brightness depends on; `colour`: the camera's band; `flux_dn`, `error_dn` (n,): of the matched
     stars, with standard errors, DN.  Saturated and blended stars are left out.  A star differs from the catalogue
-    because it varies, because its light is that of several stars or of a nebula, or because of air and cloud before it.
-    The deviations are shrunk towards their median, as those of several photographs are: a star whose noise is as large
+    because it varies, because several stars or a nebula add light, or because of air and cloud before it.
+    The deviations are shrunk towards their median, as with several photographs: a star whose noise is as large
     as the spread of all stars keeps half of its deviation.
     """
     stars, reference = calibration.stars, calibration.reference.stars

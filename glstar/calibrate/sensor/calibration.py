@@ -256,8 +256,7 @@ _LARGEST_ELLIPTICITY = 0.4
 def with_point_spread(calibration: Calibration) -> Calibration:
     """Return a calibration whose sensor has the shape of the stars: Moffat wings, ellipticity and growth off axis.
 
-    Ellipticity and growth are there only where they are significant; width and amplitude are those of the profile on
-    axis.
+    Ellipticity and growth are there only where they are significant; width and amplitude belong to the profile on axis.
     """
     sensor, misfit = calibration.sensor, calibration.misfit
     effects: dict[str, EffectValue] = dict(sensor.effects)
@@ -293,9 +292,9 @@ def with_point_spread(calibration: Calibration) -> Calibration:
 def fit_moffat(stacked: RadialProfile) -> tuple[float, float, float]:
     """Fit a Moffat profile to the median profile of the stars.
 
-    Returns `beta`: exponent, 2 to 20; `width`: width at half maximum over that of the Gaussian fit of the same stars;
-    `amplitude`: amplitude over that of the Gaussian fit.  Least squares over the bins up to 8 sigma, weighted with the
-    square root of their area, so that wings count.
+    Returns `beta`: exponent, 2 to 20; `width`: ratio of its width at half maximum to the width of the Gaussian fit of
+    the same stars; `amplitude`: ratio of its amplitude to the Gaussian's.  Least squares over the bins up to 8 sigma,
+    weighted with the square root of their area, so that wings count.
     """
     radius, brightness = stacked.radius_sigma, stacked.brightness
     is_known = np.isfinite(brightness)

@@ -192,7 +192,7 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
 
 
 def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float, Float, Float, float]:
-    """Separate the brightness offsets of stars from those of images.
+    """Separate the brightness offsets of stars from the offsets of images.
 
     `stars`, `images`: number of stars and of images.  Returns `off_mag, error_mag` (stars,): camera magnitude minus
     catalogue magnitude of each star, with the common spread of all stars as its prior, and its standard error; 0 and
@@ -322,7 +322,7 @@ def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Fl
 
 
 def _of_each(parts: tuple[Calibration, ...]) -> tuple[Note, ...]:
-    """Return the notes that all images share, once, and then those of each image."""
+    """Return the notes that all images share, once, and then the notes on each image."""
     shared = [note for note in parts[0].notes if all(note in part.notes for part in parts[1:])]
     own = (
         replace(note, text=f"{part.image.path.name}: {note}")
@@ -391,7 +391,7 @@ def _brightness(axes: Any, combined: CombinedCalibration) -> None:
 
 
 def _repeatability(axes: Any, histogram: Any, combined: CombinedCalibration) -> None:
-    """Draw each measurement of a star against those of the other images."""
+    """Draw each measurement of a star against its measurements on the other images."""
     table = combined.table
     place = {int(number): k for k, number in enumerate(table.star_id)}
     before: list[float] = []

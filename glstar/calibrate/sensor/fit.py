@@ -303,7 +303,7 @@ def _moving(
 
 
 def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) -> None:
-    """Raise an error for trails longer than sidereal motion explains, because their width is not that of the PSF."""
+    """Raise an error for trails longer than sidereal motion explains, because their width is more than the PSF's."""
     longest_px = float(np.median(np.linalg.norm(trail_px, axis=1)))
     if detected.drawn_out_px - _LONGER * longest_px > _SHAKEN_SIGMA * sigma_px:
         raise CalibrationError(

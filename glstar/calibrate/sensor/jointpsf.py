@@ -409,7 +409,7 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
 def _between_halves(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Float:
     """Return what the shapes of bright and of faint stars add to the covariance, (k, k).
 
-    A cut-off background, tone curves and blends change bright and faint stars differently, and those of one brightness
+    A cut-off background, tone curves and blends change bright and faint stars differently, but stars of one brightness
     alike, which no jackknife shows.  A difference within its own standard error adds nothing.
     """
     if len(stamps) < 2 * _STARS_PER_PARAMETER * len(names):

@@ -68,7 +68,7 @@ def measure_wings(
 def _star_profile(
     above: Float, usable: NDArray[np.bool_], xy_px: Float, star: int, sigma_px: float, centre: Float
 ) -> tuple[Float, Float, Float] | None:
-    """Return the radii (sigma) of the pixels of a star, their values above the sky ring, and those of a Gaussian."""
+    """Return the radii (sigma) of the pixels of a star, their values above the sky ring, and a Gaussian's values."""
     recorded_px = float(np.sqrt(sigma_px**2 + PIXEL_VARIANCE_PX2))
     half = int(np.ceil(_SKY_RING_SIGMA[1] * recorded_px)) + 1
     column, row = (round(float(value)) for value in centre)
@@ -264,7 +264,7 @@ def measure_misfit(
 
 
 def corner_distance(image: Photograph, matches: Matches, xy_px: Float) -> Float:
-    """Return the distances (n,) of positions (n, 2) from the principal point over that of the farthest corner."""
+    """Return the distances (n,) of positions (n, 2) from the principal point, in distances of the farthest corner."""
     return np.asarray(np.linalg.norm(_offsets(xy_px, image.pixels_dn.shape, _axis_px(matches)), axis=1))
 
 

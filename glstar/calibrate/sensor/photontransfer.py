@@ -55,7 +55,7 @@ class PhotonTransfer:
 
     @property
     def keys(self) -> dict[str, Any]:
-        """The measured keys of ``[sensor]`` without the maps; an analogue gain of 1 is that of the images."""
+        """The measured keys of ``[sensor]`` without the maps; an analogue gain of 1 is the gain of the images."""
         keys: dict[str, Any] = {
             "noise": "electrons",
             "bit_depth": self.bit_depth,

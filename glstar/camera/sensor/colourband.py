@@ -123,8 +123,8 @@ class ColourBand:
     def wavelength_nm(self, channel: Channel | None = None) -> float:
         """Return the mean wavelength of the light that a channel of the mosaic counts, or the mean of all pixels, nm.
 
-        It is that of a star of B - V 0.65; stars from A0 to M0 are within 15 nm.  With "custom" it is 550 nm, that of
-        V.
+        It is the mean for a star of B - V 0.65; stars from A0 to M0 are within 15 nm.  With "custom" it is 550 nm, that
+        of V.
         """
         return self._responses["mean" if channel is None else channel].wavelength_nm
 

@@ -343,7 +343,7 @@ class Sensor:
 
     @property
     def effective_peak(self) -> float:
-        """Amplitude of a star in the image over that of the point spread function; the flux is the same."""
+        """Ratio of the amplitudes of a star in the image and of the point spread function; the flux is the same."""
         return (self.psf_sigma_px / self.effective_sigma_px) ** 2
 
     def peak_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
@@ -397,7 +397,7 @@ class Sensor:
     def full_dn(self) -> int:
         """The digital number from which a pixel counts as saturated, DN.
 
-        The limit of the converter, or that of the full well where this is lower, less five times the read noise.
+        The lower one of the limits of the converter and of the full well, less five times the read noise.
         """
         if self.electrons is None:
             return self.saturation_dn
@@ -653,7 +653,7 @@ def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: 
     `duration_s` is the exposure time, of each short exposure of a stack; `area_px2` the noise-equivalent area of the
     star or of its trail.  `sky_dn` is the signal per pixel of a sky that the sensor's own background does not have,
     with shot noise in electrons.  `frames` is the number of short exposures in the image, whose ratio is sqrt(frames)
-    times that of one.
+    times the ratio of one.
 
     Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), solved for the flux F: F^2 = SNR^2 (K F + A v), with K DN per
     electron (0 in the paper's noise model), the noise-equivalent area A, and the variance v of a pixel without a star.

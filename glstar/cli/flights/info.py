@@ -91,7 +91,7 @@ def _middle_scene(settings: Config, log: Survey, flight: Flight) -> "Scene | Non
 
 
 def _limiting_magnitude(settings: Config, scene: "Scene | None") -> "LimitingMagnitude":
-    """Return the limiting magnitude of a scene; without one, that of a star at rest only."""
+    """Return the limiting magnitude of a scene; without one, the limit for a star at rest only."""
     from glstar.camera.sensor.sensor import limiting_mag, noise_equivalent_area_px2  # noqa: PLC0415 - only with -c
     from glstar.render.truth.conditions import LimitingMagnitude, limiting_magnitude  # noqa: PLC0415 - only with -c
 

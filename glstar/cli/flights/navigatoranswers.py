@@ -231,7 +231,7 @@ def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
 class ShownAnswers(IncomingAnswers):
     """Answers that are shown in the window of a live link, at the UTC that they state.
 
-    `source`: as for `IncomingAnswers`; `config`: its clocks relate the UTC of the camera to that of the link; `show`:
+    `source`: as for `IncomingAnswers`; `config`: its clocks relate the camera's UTC to the link's; `show`:
     called on the thread with a `PlacedAnswer`; `report`: called with a message for each answer that cannot be shown.
     """
 

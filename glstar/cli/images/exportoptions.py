@@ -1,4 +1,4 @@
-"""The options of ``glstar export``, besides those of the flight, and what they ask for beside frames and truth.
+"""The options of ``glstar export`` other than the flight's, and which outputs they ask for beside frames and truth.
 
 `OutputPlace`: a directory or an object store; `SummaryFiles`: Parquet tables, splits and the data card;
 `NavigatorFiles`: what a navigator knows, without the truth; `FramePublishing`: frames for other processes, as they are

@@ -420,7 +420,7 @@ def _row(label: TrailLabel) -> str:
 
 
 def yolo_folders(splits: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return the folder of each key of ``data.yaml``, and why it is not that of its split; empty if it is.
+    """Return the folder of each key of ``data.yaml``, and why it is not the folder of its split; empty if it is.
 
     Ultralytics needs ``train`` and ``val``, whatever the shares of the splits are.
     """

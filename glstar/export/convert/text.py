@@ -66,7 +66,7 @@ def _write(path: Path, columns: list[str], rows: Iterator[dict[str, Any]]) -> No
 
 
 def _rows(line: dict[str, Any], key: str) -> Iterator[dict[str, Any]]:
-    """Yield the row of a frame, or those of one of its lists."""
+    """Yield the row of a frame, or the rows of one of its lists."""
     if key == "frames":
         yield _flat(line)
         return

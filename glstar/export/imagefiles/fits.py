@@ -72,7 +72,7 @@ class SipCoordinates:
 
 
 def fit_sip(scene: Scene) -> SipCoordinates | None:
-    """Fit the world coordinates of an image in the middle of its exposure, of a rolling shutter that of each row.
+    """Fit the world coordinates of an image in the middle of its exposure, or of each row's with a rolling shutter.
 
     None if too little of the image lies above the horizon to fit a polynomial. Shupe et al. 2005, *ASP Conf. Ser.* 347,
     491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN, ZPN).
@@ -167,7 +167,7 @@ class _SkyOfPixels:
         return direction
 
     def _observer(self, xy_px: Float) -> "_Observer":
-        """Return the camera in the middle of the exposure, of a rolling shutter that of each pixel's row."""
+        """Return the camera in the middle of the exposure, or of each pixel's row with a rolling shutter."""
         scene, exposure = self._scene, self._scene.exposure
         if exposure.readout_s == 0 or scene.motion is None:
             return _Observer(scene.shutter[1:2])
@@ -195,7 +195,7 @@ class _Observer:
     pointing: Pointing
 
     def to_sky(self, seen: Float) -> Float:
-        """Return vectors of the camera's axes, (n, 3), in those of the true equator and equinox."""
+        """Return vectors of the camera's axes, (n, 3), in the axes of the true equator and equinox."""
         C = self.pointing.C_camera_eq
         return np.asarray(seen @ C[0] if len(C) == 1 else np.einsum("ni,nij->nj", seen, C))
 

@@ -149,7 +149,7 @@ def count_frames(
 
 
 def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float, count: int) -> Iterator[SkippedFrame]:
-    """Yield those of `count` exposures of a flight that span a gap in its attitude track.
+    """Yield the exposures, of `count` of a flight, that span a gap in its attitude track.
 
     The first begins at `start_s`, s from the flight's first attitude.
     """

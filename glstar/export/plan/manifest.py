@@ -97,7 +97,7 @@ def describe_data_set(
     options: ExportOptions,
     omitted_logs: Sequence[OmittedLog] = (),
 ) -> dict[str, Any]:
-    """Return the manifest of a data set, as `describe` does that of a flight.
+    """Return the manifest of a data set, as `describe` does for a flight.
 
     `sensor` is that in use, unless the sweep varies it; `omitted_logs` are requested logs that cannot be exported. The
     number of frames per sample is a setting here, because all frame numbers depend on it.
@@ -184,7 +184,7 @@ def described_brightness(config: Config) -> dict[str, Any]:
 
 
 def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
-    """Refuse a directory that holds frames of other settings than those of a manifest.
+    """Refuse a directory that holds frames of other settings than a manifest's.
 
     Raises ExportError if its manifest differs in more than the number of frames, or there are frames without a
     manifest.

@@ -24,7 +24,7 @@ offset  bytes  content
 ======  =====  ==================================================================================
 
 A reader of shared memory copies the frame.  The copy is valid if the counter is even, has not changed meanwhile, and
-the checksum matches.  A frame is new if run or counter differ from those of the previous one.  A writer that is killed
+the checksum matches.  A frame is new if its run or counter differs from the previous frame's.  A writer that is killed
 does not mark the end: a reader without a new frame for a while opens the name again.
 
 One process at a time can write to a name.  It locks a file: `/dev/shm/glstar-NAME.lock` for shared memory (in `/tmp` on

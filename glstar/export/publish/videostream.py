@@ -1,7 +1,7 @@
 """Frames as H.264 video: to a viewer by RTP, as simulators send it to ground stations, or into a transport stream.
 
 ``rtp://127.0.0.1:5600`` is what QGroundControl, Gazebo's plugins and ``gst-launch-1.0 udpsrc port=5600`` agree on: RTP
-(RFC 6184) with payload type 96.  Time stamps are those of the starts of the exposures, by the clock of the navigator,
+(RFC 6184) with payload type 96.  Time stamps are the starts of the exposures, by the clock of the navigator,
 in units of 1/90,000 s.  A keyframe with its parameters follows every second, for viewers that come late.
 """
 

@@ -40,7 +40,7 @@ def page(title: str, sections: Iterable[str], data: Mapping[str, Any]) -> bytes:
     """Return a page as UTF-8.
 
     `title` is text; `sections` are HTML, whose text the caller has escaped; `data` is what the script reads as JSON.
-    The page's policy allows the browser no network, and no script but that of glstar.
+    The page's policy allows the browser no network, and no script but glstar's own.
     """
     script = asset("page.js").read_text(encoding="utf-8")
     digest = b64encode(sha256(script.encode()).digest()).decode()

@@ -46,7 +46,7 @@ class Picture:
 
 
 def picture_of(directory: Path, line: Mapping[str, Any], frames: int) -> Picture:
-    """Return the image of a line of truth, stretched, as a JPEG that leaves room for those of `frames` frames.
+    """Return the image of a line of truth, stretched, as a JPEG small enough for a page of `frames` frames.
 
     Raises ExportError if there is no such image, or it is damaged.
     """

@@ -45,7 +45,7 @@ class DaskExecutor:
     Each worker opens an OpenGL context of its own, on the device that its environment names as GLSTAR_DEVICE, and keeps
     it for all chunks. Workers write images and truth directly to the disk, which all of them must see under the same
     path, and return frame numbers only. If a worker dies, another draws its chunk again. A worker whose frames would
-    differ from those of the others (another version of glstar, driver or library) is refused before it draws. The
+    differ from the other workers' frames (another version of glstar, driver or library) is refused before it draws. The
     address of the scheduler is such as ``tcp://10.0.0.1:8786``. Raises ExportError if no scheduler answers, it has no
     workers, or a worker would draw other frames.
     """

@@ -37,7 +37,7 @@ _STAGED = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
 
 
 def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
-    """Return those of the wanted frames that have no intact files or no line of truth, (m,) increasing.
+    """Return the wanted frames that have no intact files or no line of truth, (m,) increasing.
 
     `manifest` is the one that the export would write; `truth` is read by this function. Raises ExportError if the
     directory holds frames of other settings, or links.
@@ -50,7 +50,7 @@ def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, 
 
 
 def intact_frames(task: FrameTask, numbers: Numbers) -> Numbers:
-    """Return those of (n,) frames whose files exist and are neither truncated nor damaged, (m,)."""
+    """Return which of (n,) frames have files that are neither truncated nor damaged, (m,)."""
     kinds = task.file_kinds
     for suffix in kinds:
         numbers = np.intersect1d(numbers, frame_numbers(task.directory, suffix))

@@ -162,7 +162,7 @@ def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
 def flare_at_nodes(scene: Scene, *, step: int = 1) -> Float:
     """Return the flare at every `step`-th node of `FINE_GRID`, (rows, columns) DN a pixel above the sky.
 
-    It is that of the middle of the exposure.
+    It is the flare in the middle of the exposure.
     """
     positions_px = skylight.node_positions(scene.camera, skylight.FINE_GRID)
     rays = skylight.node_rays(scene.camera, skylight.FINE_GRID)

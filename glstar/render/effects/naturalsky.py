@@ -134,7 +134,7 @@ _NEAR_LIMIT = 0.99
 def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
     """Return the solid angles of pixels at the texture's nodes, (rows, columns).
 
-    Nodes where the lens shows nothing have about that of the nearest ones: pixels between both are linear.
+    Nodes where the lens shows nothing have about the solid angle of the nearest nodes: pixels between both are linear.
     """
     centres = skylight.node_positions(camera, grid)
     solid_angle = _solid_angle_at(camera, centres)

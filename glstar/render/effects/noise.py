@@ -1,4 +1,4 @@
-"""Noise: Gaussian in the paper's model; shot noise, read noise, row noise and black drift in that of electrons."""
+"""Noise: Gaussian in the paper's model; shot noise, read noise, row noise and black drift in the model of electrons."""
 
 from collections.abc import Mapping
 from math import sqrt

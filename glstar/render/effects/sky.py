@@ -1,7 +1,7 @@
 """The background of the sky: one level in DN, one in electrons, or a measured map of its brightness over the image.
 
 A map has gradients, vignetting and glow in place of one level.  The light of a sky whose brightness depends on
-direction, and that of the lens, is computed at nodes over the image, and is linear between them.
+direction, and stray light of the lens, is computed at nodes over the image, and is linear between them.
 """
 
 from collections.abc import Hashable, Mapping

@@ -102,8 +102,8 @@ class Pointing:
     def clearance(self, direction_eq: ArrayLike) -> Float:
         """Return how far stars are above the horizon, with its profile.
 
-        `direction_eq` as for `to_camera`.  Returns (n, m) sines of their apparent altitudes less those of the horizon
-        below them; positive where a star is seen.
+        `direction_eq` as for `to_camera`.  Returns (n, m) sines of their apparent altitudes less the sines of the
+        horizon's altitude below them; positive where a star is seen.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
         pole = None if self.pole_eq is None else self.pole_eq[:, np.newaxis]
@@ -114,8 +114,8 @@ class Pointing:
         """Return how far directions are above the horizon, with its profile.
 
         `direction_eq`, `zenith_eq` (..., 3): unit vectors, true equator and equinox; `sine` (...): sines of the
-        directions' apparent altitudes; `pole_eq` (..., 3) or None: see the attribute.  Returns (...) sines of
-        altitudes less those of the horizon below them.
+        directions' apparent altitudes; `pole_eq` (..., 3) or None: see the attribute.  Returns (...) sines of altitudes
+        less the sines of the horizon's altitude below them.
         """
         if self.profile is None:
             return sine - self.sine_horizon

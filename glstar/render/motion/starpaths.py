@@ -307,7 +307,7 @@ class SegmentSamples(NamedTuple):
     time_fraction: Float  # (q,) fraction of the exposure that it represents
 
     def own_values(self, values: Float) -> tuple[Float, Float]:
-        """Return those of values, (k,), that are of own samples, and by how much they change from one to the next."""
+        """Return the values, (k,), of own samples, and by how much they change from one to the next."""
         before, after = self.own - 1, self.own + 1
         step = values[after] - values[before]
         step /= np.maximum(self.number[after] - self.number[before], 1)

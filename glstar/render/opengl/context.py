@@ -33,7 +33,7 @@ _SOFTWARE = "LIBGL_ALWAYS_SOFTWARE=1 draws with Mesa's software renderer instead
 def headless_context(device_index: int | None = None) -> "moderngl.Context":
     """Return a new OpenGL context, which needs no display and belongs to the caller.
 
-    `device_index` of an EGL device is as listed by ``glstar doctor``; by default it is that of the environment variable
+    `device_index` of an EGL device is as listed by ``glstar doctor``; by default the device of the environment variable
     GLSTAR_DEVICE, or else the driver's choice.  Raises ContextError if there is no OpenGL 3.3; the message names what
     to install.
     """

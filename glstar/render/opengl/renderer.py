@@ -311,7 +311,7 @@ class GLRenderer:
         self._sum(divided.full, full, wider)
 
     def _sum(self, gaussians: Sequence[Scene], target: StarTarget, wider: StarTarget | None) -> None:
-        """Sum the flux of scenes in a target, and that of a target of wider pixels."""
+        """Sum the flux of scenes in a target, and in a target of wider pixels."""
         first = target.light.clear if wider is None else partial(self._enlarge_pass.fill, target, wider)
         queue = DrawQueue(target, first)
         for scenes in drawn_together(gaussians, rolling=target.clock.rows > 0):

@@ -49,7 +49,7 @@ class OpenPieces(NamedTuple):
     closes: Float
 
     def of(self, stars: NDArray[np.bool_]) -> "OpenPieces":
-        """Return those of some stars."""
+        """Return the pieces of some stars."""
         return OpenPieces(self.first[stars], self.last[stars], self.opens[stars], self.closes[stars])
 
 
@@ -72,7 +72,7 @@ def whole_trails(scene: Scene, trails: AnalyticSegments) -> SegmentColumns:
 
 
 def overtaking(trails: AnalyticSegments, camera: Camera, openings: PixelOpenings) -> float:
-    """Return an upper bound of the speed of stars on the image, relative to that of the readout."""
+    """Return an upper bound of the speed of stars on the image, relative to the readout's speed."""
     rate_rad = trails.pointing.rotation_rad / np.repeat(trails.time_fraction / 2, 2)
     return float(rate_rad.max() * camera.max_px_per_rad * openings.per_px)
 

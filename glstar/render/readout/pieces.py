@@ -116,7 +116,7 @@ def in_pieces(
 ) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
-    `trails`: those of the scene;
+    `trails`: the scene's;
     `largest_point_px`: the largest point sprite of the driver, px; `openings`: those of a rolling shutter.
     """
     sensor, drawn = scene.sensor, scene.draw_list

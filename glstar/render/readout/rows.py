@@ -248,13 +248,13 @@ class OpenPath(NamedTuple):
 
     @classmethod
     def of(cls, recorded: RecordedTimes) -> Self:
-        """Return those of stars of a single exposure."""
+        """Return the times of stars of a single exposure."""
         first_px, _, last_px = np.moveaxis(recorded.positions, -1, 1)
         return cls(recorded.opens_s, recorded.closes_s, first_px, last_px)
 
     @classmethod
     def along(cls, xy_px: Float, times_s: Float, exposure: Exposure, camera: Camera) -> Self:
-        """Return those of stars that move on lines between their positions at some times.
+        """Return the times of stars that move on lines between their positions at some times.
 
         `xy_px` (2, n, m); `times_s` (n,): s after the start of the exposure.
         """

@@ -63,7 +63,7 @@ class StackedTrails:
 def union(draw_lists: Sequence[DrawList]) -> DrawList:
     """Return the stars of the draw lists of short exposures, each once with its largest truncation radius.
 
-    The stars are in the order of the star field; extinction is that of the short exposure nearest to the middle.
+    The stars are in the order of the star field; extinction is taken from the short exposure nearest to the middle.
     """
     middle = (len(draw_lists) - 1) / 2
     ordered = sorted(range(len(draw_lists)), key=lambda k: abs(k - middle))

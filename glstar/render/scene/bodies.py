@@ -166,7 +166,7 @@ def _two_points(places: Float, light: Float) -> tuple[Float, Float]:
 def disc_on_image(camera: Camera, pointing: Pointing, body: Body) -> tuple[float | None, float | None]:
     """Return the diameter of a body's disc on the image, px, and the direction of its bright limb, deg, at one time.
 
-    The diameter is that of the circle of the same area.  The direction is from the centre to the middle of the bright
+    The diameter belongs to the circle of the same area.  The direction is from the centre to the middle of the bright
     limb, from right (0) towards down (90), -180 to 180; None for the Sun.  Both are None if the centre is not on the
     plane of the image.
     """

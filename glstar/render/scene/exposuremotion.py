@@ -107,7 +107,7 @@ class ExposureMotion:
 
     @cached_property
     def _fitted(self) -> AnalyticSegments | None:
-        """Least-squares segments, whose mean positions are those of the interpolated attitude."""
+        """Least-squares segments, whose mean positions equal the interpolated attitude's."""
         return self._fitted_segments(TRUTH_TOLERANCE_PX)
 
     def _fitted_segments(self, tolerance_px: float) -> AnalyticSegments | None:

@@ -76,7 +76,7 @@ class SatelliteMotion(CameraMotion):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sunlight:
-    """The brightness of a satellite relative to that of its source during one exposure: an `Attenuator`."""
+    """The brightness of a satellite relative to its source's during one exposure: an `Attenuator`."""
 
     motion: SatelliteMotion
     exposure: Exposure

@@ -99,7 +99,7 @@ class Scene:
         The scenes of the short exposures that are stacked into the image; empty for a single exposure.
     q_aircraft_ned : (4,) float64 or None
         The attitude of the aircraft in the middle of the exposure where a gimbal carries the camera, and `q_body_ned`
-        is that of its platform; None without a gimbal.
+        is its platform's attitude; None without a gimbal.
     satellites : tuple of Scene
         A scene of each satellite on the image, with its own motion.
     attenuation : Attenuation
@@ -154,7 +154,7 @@ class Scene:
 
     @property
     def white_dn(self) -> int:
-        """The largest digital number of the image: that of the sensor, times the exposures of a sum."""
+        """The largest digital number of the image: the sensor's, times the exposures of a sum."""
         return self.exposure.signal_factor * self.sensor.saturation_dn
 
     def with_sensor(self, sensor: Sensor) -> Self:

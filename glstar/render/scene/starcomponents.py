@@ -81,7 +81,7 @@ def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
 
 
 def mean_of_cells(scene: Scene, index: NDArray[np.int32]) -> NDArray[np.float64] | float:
-    """Return the flux of stars in the mean of a mosaic's cells, over that of their magnitude; 1 without a mosaic.
+    """Return the flux of stars in the mean of a mosaic's cells, in units of their magnitude's flux; 1 without a mosaic.
 
     `index` (m,): indices into the stars of the scene.  Returns (m,): the bands of the cells add up to that of the mean
     within a percent.

@@ -213,7 +213,7 @@ def _stars(scene: Scene, frame: Frame, rows: RowTimeSearch | None = None) -> byt
 def _transmission(scene: Scene, middle_px: Float, centroid_px: Float) -> Float | None:
     """Return the transmission of a lens with vignetting, over that on its axis, of stars; None without.
 
-    It is that of the middle of the exposure; of a star that is beside the image then, that of the pixel nearest to its
+    It is the transmission in the middle of the exposure; for a star beside the image then, at the pixel nearest to its
     mean position while it touches the image.
     """
     vignetting, camera = Vignetting.of(scene.sensor.effects), scene.camera

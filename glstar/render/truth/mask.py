@@ -44,10 +44,10 @@ def trail_mask(scene: Scene) -> NDArray[np.uint16]:
     """Return which star dominates each pixel, (height, width) uint16.
 
     It is k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most noiseless signal of all stars,
-    and at least `mask_threshold_dn`, and 0 elsewhere. The entries of ``bodies`` are numbered after the stars, and those
-    of ``satellites`` after them; only the first 65535 entries are in the mask. The signal is the sum of the Gaussians
-    of the point spread function at samples of the star's path, every 1.5 sigma or closer: within 0.1 % of the integral
-    along it.
+    and at least `mask_threshold_dn`, and 0 elsewhere. The entries of ``bodies`` are numbered after the stars, and the
+    entries of ``satellites`` after the bodies; only the first 65535 entries are in the mask. The signal is the sum of
+    the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma or closer: within 0.1 % of
+    the integral along it.
     """
     shape = scene.camera.height_px, scene.camera.width_px
     mask, strongest_dn = np.zeros(shape, np.uint16), np.full(shape, mask_threshold_dn(scene), np.float32)

@@ -162,7 +162,7 @@ class _Lines(NamedTuple):
 
 
 def _joined(values: list[Float]) -> Float:
-    """Return the values of several chains one after the other, without a copy of those of a single one."""
+    """Return the values of several chains one after the other; a single chain is not copied."""
     return values[0] if len(values) == 1 else np.concatenate(values, axis=-2)
 
 
@@ -175,7 +175,7 @@ def _grouped(values: Float, first: NDArray[np.intp], *, mean: bool = False) -> F
 def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -> Float:
     """Return what cloud transmits of the light that arrives at each line from its neighbours, (n, m).
 
-    The neighbours are those of one star, for all.
+    The neighbours of one star serve for all.
     """
     if not passing.shape[1]:
         return passing

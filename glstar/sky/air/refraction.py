@@ -20,7 +20,7 @@ _ARCMIN_RAD = np.pi / 10800
 
 
 def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:
-    """Return the refraction of air at the observer over that of standard air, 1010 hPa and 10 deg C.
+    """Return the ratio of the refractions of air at the observer and of standard air, 1010 hPa and 10 deg C.
 
     Teague & Chahl, eq. (28).
     """

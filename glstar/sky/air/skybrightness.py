@@ -192,7 +192,7 @@ def _scattering_mass(sine_altitude: Float) -> Float:
 
 
 def _dark_gradient(mass: Float, zenith_mag: float) -> Float:
-    """Return the brightness of a dark sky over that of the zenith: Benn & Ellison 1998."""
+    """Return the brightness of a dark sky relative to the zenith: Benn & Ellison 1998."""
     return (0.4 + 0.6 * mass) * brightness_ratio(zenith_mag * (mass - 1))
 
 

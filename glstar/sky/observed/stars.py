@@ -153,7 +153,7 @@ class Sky:
         return earth_orientation(utc_s) or EarthOrientation()
 
     def refraction_scale(self, site: Site) -> float:
-        """Return the refraction of a site's air divided by that of standard air; 0 without refraction.
+        """Return the ratio of the refractions of a site's air and of standard air; 0 without refraction.
 
         Parameters
         ----------

@@ -182,10 +182,10 @@ def proper_motion(
 
 
 def precession_matrix(t: float) -> Float:
-    """Return the matrix from the mean equator of J2000 to that of date, (3, 3); `t`: Julian centuries of TT.
+    """Return the matrix from the mean equator of J2000 to the mean equator of date, (3, 3).
 
-    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): vectors
-    are rotated, without the tan and asin of the paper.
+    `t`: Julian centuries of TT since J2000.  Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs
+    (21.3), (21.4).  Departs from eq. (3): vectors are rotated, without the tan and asin of the paper.
     """
     zeta = (2306.2181 + (0.30188 + 0.017998 * t) * t) * t * ARCSEC_RAD
     z = (2306.2181 + (1.09468 + 0.018203 * t) * t) * t * ARCSEC_RAD

@@ -215,7 +215,7 @@ class BagReader(source.TelemetrySource):
         return max(usable, key=lambda name: (name in with_fix, name in names, samples[name]), default="")
 
     def _of_vehicle(self, kinds: Collection[str]) -> list[Topic]:
-        """Return the topics of some kinds of the vehicle of the flight, or, if none has any, those of no vehicle."""
+        """Return the topics of some kinds of the vehicle of the flight or, if it has none, the topics of no vehicle."""
         of_kind = [topic for topic in self._topics.values() if topic.kind in kinds]
         own = [topic for topic in of_kind if self._vehicles[topic.name] == self._vehicle]
         is_shared = all(not self._vehicles[topic.name] for topic in of_kind)
@@ -483,12 +483,12 @@ class BagReader(source.TelemetrySource):
 
 
 def _unlike(best: Topic, others: list[Topic]) -> list[Topic]:
-    """Return the attitudes of others that do not turn as one does, without those of sensors of their own."""
+    """Return the attitudes of others that do not turn as one does, without sensors that have attitudes of their own."""
     return [topic for topic in others if topic is not best and not topic.is_of_device and topic.turns_otherwise(best)]
 
 
 def _doubts_of_position(attitude: str, position: str) -> tuple[str, ...]:
-    """Return a remark on a topic with the position that may be of another vehicle than that of the attitude."""
+    """Return a remark on a topic with the position that may be of another vehicle than the attitude."""
     doubt = f"{position} may be of another vehicle than {attitude}, by their name spaces (--columns position=TOPIC)"
     return (doubt,) if are_of_two_bodies(attitude, position) else ()
 

@@ -221,7 +221,7 @@ class Topic:
 
     @property
     def is_of_device(self) -> bool:
-        """Whether it is by its name of a sensor other than that of the aircraft's attitude."""
+        """Whether its name says that it is of another sensor than the aircraft's attitude."""
         return has_word(DEVICE, f"{self.name} {self.frame_id}")
 
     @property
@@ -270,7 +270,7 @@ class Topic:
         return ""
 
     def turns_otherwise(self, other: "Topic") -> float:
-        """Return by how much the angles between times differ from those of another attitude, deg; 0 if they are alike.
+        """Return by how much the angles between times differ from another attitude's angles, deg; 0 if they are alike.
 
         Angles between two times are the same for two sensors of one body, whatever their axes and their worlds.
         """
@@ -320,7 +320,7 @@ class Topic:
         return self.column("received_s") - other.late_s if self.is_other_clock(other) else self.column("stamp_s")
 
     def is_other_clock(self, other: "Topic") -> bool:
-        """Return whether the stamps are of another clock than those of another topic."""
+        """Return whether the stamps are of another clock than another topic's stamps."""
         return abs(self.late_s - other.late_s) > _SAME_CLOCK_S
 
     @property
@@ -332,7 +332,7 @@ class Topic:
 def utc_of_scale(off_s: float, recorder_s: float) -> tuple[float, str]:
     """Return what turns a time into UTC, s, and the time scale that it counts.
 
-    `off_s`: the time minus that of the clock of the recorder, s; `recorder_s`: the latter, UTC seconds since 1970.
+    `off_s`: the time minus the recorder's time, s; `recorder_s`: the latter, UTC seconds since 1970.
     """
     if source.YEAR_2010_S <= recorder_s < source.YEAR_2100_S:
         gps_s = leap_seconds(recorder_s + TAI_MINUS_GPS_S)
@@ -430,7 +430,7 @@ def purpose_of(name: str) -> str:
 
 
 def are_of_two_bodies(first: str, second: str) -> bool:
-    """Return whether two topics are below different names, and neither name is that of a part of a vehicle."""
+    """Return whether two topics are below different names, and neither name is a part of a vehicle."""
     above = [
         [part for part in name.strip("/").split("/")[:-1] if not has_word(PART, part) and not INTERFACE.fullmatch(part)]
         for name in (first, second)

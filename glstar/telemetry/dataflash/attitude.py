@@ -269,7 +269,7 @@ def estimates(log: Records) -> Iterator[AttitudeEstimate]:
 
 
 def preferred_messages(log: Records) -> tuple[str, ...]:
-    """Return the messages with attitude, those of the estimator in use first; XKQ first if the log does not name it."""
+    """Return the messages with attitude, the estimator in use first; XKQ first if the log does not name it."""
     numbers, count = np.unique(_active(log)[1], return_counts=True)
     return _MESSAGES.get(int(numbers[count.argmax()]), _NO_EKF) if numbers.size else _UNKNOWN
 
@@ -324,7 +324,7 @@ def _unlogged(log: Records, taken: AttitudeEstimate) -> tuple[str, ...]:
 
 
 def _is_lane_of(log: Records, samples: AttitudeSamples, att: AttitudeSamples) -> bool:
-    """Return whether the attitude of a lane is that of ATT, as far as ATT resolves it and but for the trim of ATT."""
+    """Return whether a lane and ATT have the same attitude, as far as ATT resolves it and but for the trim of ATT."""
     near = nearest(att.clock_s, samples.clock_s)
     at_once = np.abs(att.clock_s[near] - samples.clock_s) < _AT_ONCE_S
     together = at_once if at_once.any() else np.abs(att.clock_s[near] - samples.clock_s) < _TOGETHER_S

@@ -244,7 +244,7 @@ def readings_source(count: int, sender: str = "") -> str:
 
 
 def other_clocks(packets: Packets, sender: Sender) -> list[Sender]:
-    """Return the other senders of UTC, those of the autopilot's system first."""
+    """Return the other senders of UTC, the senders of the autopilot's system first."""
     others = [other for other in packets.senders("SYSTEM_TIME") if other != sender]
     return sorted(others, key=lambda other: other[0] != sender[0])
 

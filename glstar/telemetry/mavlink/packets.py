@@ -124,7 +124,7 @@ class Packets(Protocol):
         return list(dict.fromkeys((int(row[SYSTEM]), int(row[COMPONENT])) for row in rows))
 
     def autopilots(self) -> set[Sender]:
-        """Return the senders whose heartbeats are those of an autopilot."""
+        """Return the senders whose heartbeats say that they are autopilots."""
         rows = self.message("HEARTBEAT")
         return {(int(row[SYSTEM]), int(row[COMPONENT])) for row in rows[rows[:, FIELDS_FROM] != NO_AUTOPILOT]}
 

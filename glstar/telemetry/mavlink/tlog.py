@@ -25,7 +25,7 @@ AUTOPILOT_VERSION     flight_sw_version                             the firmware
 STATUSTEXT            text                                          the firmware, of ArduPilot; messages, on arrival
 ====================  ============================================  ================================================
 
-The clock is the autopilot's time since boot.  The arrival times of packets are those of the ground station, whose clock
+The clock is the autopilot's time since boot.  The arrival times of packets are by the ground station's clock, which
 may be wrong by seconds or years.  Arrivals relate packets without a common time since boot: those of an autopilot
 without UTC and of a ground station with UTC, or those of two boots of one autopilot.  A stream, such as Mission
 Planner's ``.rlog`` or what a serial port received, is given arrival times by the autopilot's time since boot.

@@ -1,6 +1,6 @@
 """Names of vehicles, autopilots, firmware versions and flight modes by their numbers; the attitude of a gimbal.
 
-Roll and pitch of a gimbal are those of the platform against the horizon.  Its yaw is against north or against the
+Roll and pitch of a gimbal are the platform's against the horizon.  Its yaw is against north or against the
 heading of the aircraft: the flags of GIMBAL_DEVICE_ATTITUDE_STATUS say which, in older senders by their yaw lock;
 MOUNT_ORIENTATION, MOUNT_STATUS and mount_orientation have the latter.
 """

@@ -1,4 +1,4 @@
-"""Tables of text, Parquet and Excel: in glstar's own columns, or in those of other programs by a column map.
+"""Tables of text, Parquet and Excel: in glstar's own columns, or in other programs' columns by a column map.
 
 The cells of Parquet and Excel files are read here, within limits.
 """

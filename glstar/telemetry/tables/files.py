@@ -445,7 +445,7 @@ class Dump:
         self.heads = tuple(heads)
 
     def _index(self, name: str) -> tuple[int, int | None] | None:
-        """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
+        """Return the index of a column, and of the item in its lists for ``name[0]``; None if there is none."""
         if name in self.header:
             return self.header.index(name), None
         match = _LIST_ITEM.fullmatch(name)

@@ -422,7 +422,7 @@ def _gps_week(table: TableFile) -> float:
 
 
 def _contradiction(time_is: str, time_s: Float, utc_name: str, utc_s: Float) -> str:
-    """Return by how much (n,) UTC of rows, s since 1970, contradicts that of another column; empty if it does not."""
+    """Return by how much (n,) UTC of rows, s since 1970, contradicts another column's UTC; empty if it does not."""
     both = plausible_utc(time_s) & plausible_utc(utc_s)
     ahead_s = (time_s - utc_s)[both]
     low_s, median_s, high_s = np.quantile(ahead_s, (0.1, 0.5, 0.9)).tolist() if both.any() else (0.0,) * 3
@@ -436,7 +436,7 @@ def _contradiction(time_is: str, time_s: Float, utc_name: str, utc_s: Float) -> 
 
 
 def early_remarks(utc_s: Float, epoch: str) -> list[str]:
-    """Return remarks on (n,) UTC, s since 1970, that would be that of a recent flight if it counted from 1980.
+    """Return remarks on (n,) UTC, s since 1970, that would fit a recent flight if it counted from 1980.
 
     `epoch`: from when it counts by the map; "auto" if the map does not say so.
     """

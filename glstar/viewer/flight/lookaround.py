@@ -1,11 +1,13 @@
 """A free camera at the aircraft: it points where the user turns it, with any field of view from 2 to 180 deg.
 
-Its projection is stereographic, as that of star charts: a pinhole's near the axis, and without limit beyond 90 deg.
+Its projection is stereographic, as in star charts: near the axis it is a pinhole's, and it has no limit at 90 deg.  Its
+horizon stays level.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from math import cos, degrees, pi, radians, tan
+from math import asin, atan2, cos, degrees, dist, hypot, pi, radians, remainder, sin, tan
 
 import numpy as np
 
@@ -27,19 +29,24 @@ _FIRST_RAD = radians(100.0)
 _STEREOGRAPHIC = Lens("omni", (1.0,))
 # Sizes of the image, px.
 _SMALLEST_PX, _LARGEST_PX = 64, 2048
+# Most that one px of the mouse turns the camera, rad: a star 20 px from the zenith can still be led around it.
+_MOST_RAD_PER_PX = 0.05
 # Points along each side of the outline of the aircraft's own image.
 _OUTLINE_POINTS = 17
 
 
 @dataclass(slots=True, eq=False)
 class LookAround:
-    """A camera that the user turns; it has no motion but that of the sky, and the sensor of the aircraft's camera."""
+    """A camera that the user turns; it moves with the sky only, and has the sensor of the aircraft's camera."""
 
     is_on: bool = False
     azimuth_rad: float = 0.0  # From north through east
     altitude_rad: float = 0.0
     field_rad: float = _FIRST_RAD  # Horizontal field of view
     size_px: tuple[int, int] = (800, 600)  # Width and height of its image
+    # The direction under the mouse when it was pressed: its azimuth, rad, and the sine of its altitude.
+    _grabbed: tuple[float, float] = field(default=(0.0, 0.0), repr=False)
+    _mouse_px: tuple[float, float] = field(default=(0.0, 0.0), repr=False)
     _made: tuple[tuple[object, ...], Simulator] | None = field(default=None, repr=False)
     _flight: tuple[tuple[object, ...], Flight] | None = field(default=None, repr=False)
 
@@ -65,12 +72,34 @@ class LookAround:
         width, height = (min(max(round(px), _SMALLEST_PX), _LARGEST_PX) for px in (width_px, height_px))
         self.size_px = width, height
 
-    def turn(self, right_px: float, down_px: float) -> None:
-        """Turn the sky with the mouse, as if it were pulled at the middle of the image; px of the image."""
-        rad_per_px = 4 * tan(self.field_rad / 4) / self.size_px[0]
-        across = max(cos(self.altitude_rad), 0.1)
-        self.azimuth_rad = (self.azimuth_rad - right_px * rad_per_px / across) % (2 * pi)
-        self.altitude_rad = min(max(self.altitude_rad + down_px * rad_per_px, -pi / 2), pi / 2)
+    def grab(self, x_px: float, y_px: float) -> None:
+        """Take hold of the direction at a position of the image, px."""
+        across_rad, sine_altitude = _from_axis(self.camera.unit_vectors([x_px, y_px]).tolist(), self.altitude_rad)
+        self._grabbed = self.azimuth_rad + across_rad, sine_altitude
+        self._mouse_px = x_px, y_px
+
+    def drag(self, x_px: float, y_px: float) -> None:
+        """Turn the camera so that the grabbed direction is at a position of the image, px.
+
+        A level camera has no direction of a higher altitude than the zenith's distance allows at that position: the
+        grabbed direction then comes as near as it can.  Close to the zenith the camera follows more slowly.
+        """
+        unit = self.camera.unit_vectors([x_px, y_px]).tolist()
+        azimuth_rad, sine_altitude = self._grabbed
+        # sine = ahead sin(h) - down cos(h) = radius sin(h - lowered): two altitudes h of the camera, of which the
+        # nearer one continues the drag.
+        _, down, ahead = unit
+        radius, lowered_rad = hypot(down, ahead), atan2(down, ahead)
+        rise_rad = asin(min(max(sine_altitude / max(radius, 1e-9), -1.0), 1.0))
+        up_rad = min(
+            (remainder(lowered_rad + each - self.altitude_rad, 2 * pi) for each in (rise_rad, pi - rise_rad)), key=abs
+        )
+        altitude_rad = min(max(self.altitude_rad + up_rad, -pi / 2), pi / 2)
+        right_rad = remainder(azimuth_rad - _from_axis(unit, altitude_rad)[0] - self.azimuth_rad, 2 * pi)
+        most_rad = _MOST_RAD_PER_PX * dist(self._mouse_px, (x_px, y_px))
+        self.altitude_rad += min(max(altitude_rad - self.altitude_rad, -most_rad), most_rad)
+        self.azimuth_rad = (self.azimuth_rad + min(max(right_rad, -most_rad), most_rad)) % (2 * pi)
+        self._mouse_px = x_px, y_px
 
     def zoom(self, factor: float) -> None:
         """Make the field of view narrower by a factor, within 2 and 180 deg."""
@@ -131,3 +160,13 @@ class LookAround:
         C_ned_own = ned_to_camera_matrix(aircraft.pointing(np.array([mid_s])))
         ned = aircraft.camera.unit_vectors(border) @ C_ned_own
         return scene.camera.project(ned @ ned_to_camera_matrix(scene.shutter[1:2]).T)
+
+
+def _from_axis(unit: Sequence[float], altitude_rad: float) -> tuple[float, float]:
+    """Return the azimuth from the axis, rad, and the sine of the altitude of a unit vector (3,) of the camera.
+
+    `altitude_rad`: of the camera.
+    """
+    right, down, ahead = unit
+    sine, cosine = sin(altitude_rad), cos(altitude_rad)
+    return atan2(right, ahead * cosine + down * sine), ahead * sine - down * cosine

@@ -1,4 +1,4 @@
-"""Other logs of the flight shown, such as that of a simulator, and the thread that reads them."""
+"""Other logs of the flight shown, such as a simulator's, and the thread that reads them."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor

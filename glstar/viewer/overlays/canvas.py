@@ -97,6 +97,8 @@ class Canvas:
     ----------
     current : str
         The overlay that is drawn.
+    selected : str
+        The name of the selected object, which no label repeats.
     label_clear_px : float
         Distance of its labels from their positions, px of the image.
     camera : Camera
@@ -114,6 +116,7 @@ class Canvas:
     def __init__(self, scene: Scene, region: ImageRegion | None, zoom: float, radius_rad: float) -> None:
         self.scene = scene
         self.current = ""
+        self.selected = ""
         self.label_clear_px = 0.0
         self.camera: Camera = scene.camera
         complete = ImageRegion(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
@@ -241,7 +244,7 @@ class Canvas:
             self._marks.append(Marks(self.current, mark, visible.astype(np.float32)))
 
     def label(self, text: str, xy_px: Sequence[float], anchor: Sequence[float]) -> bool:
-        """Add a label, moved into the region, unless it would overlap another one.
+        """Add a label, moved into the region, unless it would overlap another one or repeat the selected name.
 
         Parameters
         ----------
@@ -256,6 +259,8 @@ class Canvas:
         bool
             Whether it was added.
         """
+        if text == self.selected:
+            return False
         (x, y), (across, down) = xy_px, anchor
         rows = text.count("\n") + 1
         longest = len(text) if rows == 1 else max(map(len, text.split("\n")))

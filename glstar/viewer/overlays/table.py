@@ -488,15 +488,18 @@ class Overlays:
         beliefs: tuple[Belief, ...] = (),
         residuals: TrailResiduals | None = None,
         reserved: tuple[ImageRegion, ...] = (),
+        selected: str = "",
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
         `pixels`: see `DrawingInputs`, as the other inputs; without them the stars whose peak should saturate are
         marked.  `region`: the visible part of the image, by default all of it: lines end and grids are labelled at its
         edge.  `zoom`: screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on
-        it.  `reserved`: parts of the image without labels.
+        it.  `reserved`: parts of the image without labels.  `selected`: name of the selected object, which no label
+        repeats.
         """
-        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals, reserved)
+        names = (name_vmag_limit, reserved, selected)
+        key = (frozenset(which), names, region, zoom, centroid_vmag_limit, beliefs, residuals)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
             return self._last[3]
         if self._grids is None or self._grids.camera != scene.camera:
@@ -511,6 +514,7 @@ class Overlays:
             residuals=residuals,
         )
         canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
+        canvas.selected = selected
         for part in reserved:
             canvas.reserve(part)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)

@@ -155,8 +155,9 @@ def _written(caption: str, width_px: int) -> Picture:
 class ComparisonState:
     """The state of the comparison, used by the panel, the keys and the drawing.
 
-    The play head has the time of the log's clock, real images that of the camera's: a real image with the time stamp t
-    belongs to t - `flight_offset_s` - `offset_s` in the log.  `clock`: returns seconds from any origin, for blinking.
+    The play head has the time of the log's clock, real images the time of the camera's clock: a real image with the
+    time stamp t belongs to t - `flight_offset_s` - `offset_s` in the log.  `clock`: returns seconds from any origin,
+    for blinking.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -1,8 +1,8 @@
 """Work of the window on images, each on a thread of its own.
 
-A fit of the camera clock's offset and the mount to real images; the residuals of the simulated trails against those of
-the real image shown; and the calibration of a camera from one photograph of the stars.  `glstar.cli` gives the window
-the functions that do it.
+A fit of the camera clock's offset and the mount to real images; the residuals of the simulated trails against the
+trails of the real image shown; and the calibration of a camera from one photograph of the stars.  `glstar.cli` gives
+the window the functions that do it.
 """
 
 import tomllib

@@ -103,7 +103,7 @@ class Stretch:
 
     @classmethod
     def for_sensor(cls, sensor: Sensor) -> "Stretch":
-        """Return the initial stretch: the sky is black, and stars are as bright as those of the bundled camera.
+        """Return the initial stretch: the sky is black, and stars are as bright as with the bundled camera.
 
         A sensor whose digital numbers fill a small part of its range would be black otherwise.
         """
@@ -128,7 +128,7 @@ class Stretch:
     def following(self, pixels: NDArray[Any], white_dn: int, usual: "Stretch") -> "Stretch":
         """Return the stretch whose black and white follow an image: the sky is black, also under the Moon.
 
-        A sky as bright as that of the sensor's own stretch keeps that stretch; black is the median of a brighter or
+        A sky as bright as the sensor's own stretch assumes keeps that stretch; black is the median of a brighter or
         darker one, and white far enough above its noise.  A stretch that is held stays, and so does one that fits.
         `pixels` (height, width) uint8 or uint16: digital numbers; `white_dn`: the largest possible digital number;
         `usual`: the stretch of the sensor (`for_sensor`).

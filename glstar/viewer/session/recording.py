@@ -184,7 +184,7 @@ class Video(ABC):
             self._file.discard()
 
     def _write(self, picture: Picture, times: int = 1) -> None:
-        """Add a picture to the file; one of another size is scaled to that of the first."""
+        """Add a picture to the file; an image of another size is scaled to the size of the first."""
         if self._file is None:
             self._size = picture.shape[1], picture.shape[0]
             self._file = VideoFile(self.path, *self._size, self._frames_per_s)

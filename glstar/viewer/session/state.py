@@ -273,7 +273,7 @@ class Session:
 
     @property
     def is_looking(self) -> bool:
-        """Whether the image is that of the free camera; real images are compared with the aircraft's own."""
+        """Whether the image is the free camera's; real images are compared with the aircraft's own."""
         return self.look.is_on and self.comparison.mode is ComparisonMode.OFF
 
     @property

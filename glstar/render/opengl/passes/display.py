@@ -70,7 +70,7 @@ class WindowPart:
 
     @property
     def screen_from_fragment_px(self) -> tuple[float, float, float, float]:
-        """Offset and direction of the part's pixels, from its top-left corner, against those of the framebuffer."""
+        """Offset and direction of the part's pixels, from its top-left corner, in the framebuffer's pixels."""
         left, top = self.corner_px
         return float(-left), float(self.size[1] - 1 - top), 1.0, -1.0
 

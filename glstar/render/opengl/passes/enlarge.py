@@ -34,7 +34,7 @@ class EnlargePass:
             self._owned = owned.pop_all()
 
     def target(self, full: StarTarget, camera: Camera, scale: int) -> StarTarget:
-        """Return the target with pixels `scale` times as wide as those of the full one, for a camera's image."""
+        """Return the target with pixels `scale` times as wide as the full target's, for a camera's image."""
         of_pixels = reduced_camera(camera, scale)
         size = of_pixels.width_px + 2 * _GUARD_BAND_PX, of_pixels.height_px + 2 * _GUARD_BAND_PX
         target = self._targets.get(scale)
@@ -80,7 +80,7 @@ class EnlargePass:
 
 
 def _reduced_clock(clock: ReadoutClock, guard_band_px: int, scale: int) -> ReadoutClock:
-    """Return when the pixels of a reduced target open, given those of a target with some guard band."""
+    """Return when the pixels of a reduced target open, given the times of a target with some guard band."""
     per_column, per_row, first = clock.opening
     shift_px = guard_band_px - scale * _GUARD_BAND_PX
     return replace(clock, opening=(scale * per_column, scale * per_row, first + shift_px * (per_column + per_row)))

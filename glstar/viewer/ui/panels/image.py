@@ -117,14 +117,14 @@ class ImagePanel:
         if texture is not None:
             _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
-        mark = _SelectedMark.of(session, self._selection, corner, clip)
+        footer = imgui.calc_text_size(_look_text(session)) if session.is_looking else ImVec2(0.0, 0.0)
+        names_end = height - footer.y - 2 * _MARGIN * session.is_looking
+        mark = _SelectedMark.of(session, self._selection, corner, clip, corner[1] + names_end)
         reserved = [] if mark is None else [mark.region(view, corner)]
         if session.is_looking:
-            label_px = imgui.calc_text_size(_look_text(session))
-            box = [[0.0, height - label_px.y - 2 * _MARGIN], [label_px.x + 2 * _MARGIN, height]]
-            first, last = view.to_picture(box).tolist()
+            first, last = view.to_picture([[0.0, names_end], [footer.x + 2 * _MARGIN, height]]).tolist()
             reserved.append(ImageRegion(*first, *last))
-        self._draw_overlays(session, draw_list, corner, clip, tuple(reserved))
+        self._draw_overlays(session, draw_list, corner, clip, tuple(reserved), "" if mark is None else mark.name)
         if labelled:
             draw_comparison_labels(session, draw_list, corner, clip)
         if mark is not None:
@@ -170,11 +170,13 @@ class ImagePanel:
         if hovered and io.mouse_wheel:
             look.zoom(_WHEEL**io.mouse_wheel)
         if _is_dragged():
-            look.turn(io.mouse_delta.x / view.zoom, io.mouse_delta.y / view.zoom)
+            look.drag(*at.tolist())
         if hovered and imgui.is_mouse_double_clicked(0) and session.scene is not None:
             look.look_at(at, session.scene)
         elif hovered and imgui.is_mouse_released(0) and not _is_dragged():
             _select_star(session, self._selection, at)
+        if imgui.is_item_activated():  # last, because a double click turns the camera
+            look.grab(*at.tolist())
 
     def _show(
         self, session: Session, shown: PanelContent, corner: Float, size_px: tuple[int, int], *, is_lowest: bool
@@ -195,8 +197,9 @@ class ImagePanel:
         corner: Float,
         clip: Edges,
         reserved: tuple[ImageRegion, ...],
+        selected: str,
     ) -> None:
-        """Draw the overlays, with no label in a reserved part of the image."""
+        """Draw the overlays, with no label in a reserved part of the image, and none of the selected object."""
         scene, view = session.scene, session.view
         if scene is None or session.loaded is None or not session.shown_overlays:
             return
@@ -220,6 +223,7 @@ class ImagePanel:
             else session.navigator.beliefs(session.loaded, session.image.simulator, scene),
             residuals=residuals if isinstance(residuals, TrailResiduals) else None,
             reserved=reserved,
+            selected=selected,
         )
 
         def to_screen(xy_px: ArrayLike) -> Float:
@@ -342,8 +346,13 @@ class _SelectedMark(NamedTuple):
     size: Float  # (2,) of its name
 
     @classmethod
-    def of(cls, session: Session, selection: Selection, corner: Float, clip: Edges) -> "_SelectedMark | None":
-        """Return the mark in a panel, or None without a selected object; `corner` (2,), `clip`: of the panel."""
+    def of(
+        cls, session: Session, selection: Selection, corner: Float, clip: Edges, names_end: float
+    ) -> "_SelectedMark | None":
+        """Return the mark in a panel, or None without a selected object.
+
+        `corner` (2,), `clip`: of the panel; `names_end`: below this height a line says where the free camera points.
+        """
         selected, scene, simulator = selection.selected, session.scene, session.image.simulator
         if selected is None or scene is None or simulator is None:
             return None
@@ -352,18 +361,19 @@ class _SelectedMark(NamedTuple):
             return None
         size = imgui.calc_text_size(selected.name)
         size_px = np.array([size.x, size.y])
+        first, last = np.array(clip[:2]), np.array([clip[2], names_end]) - size_px
         towards = np.array([place.right, place.down])
         middle = (np.array(clip[:2]) + clip[2:]) / 2
         if place.on_image:
             at = session.view.to_screen([place.x_px, place.y_px]) + corner
             if clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]:
-                beside = np.clip(at + _SELECTED_PX, clip[:2], np.array(clip[2:]) - size_px)
+                beside = np.clip(at + _SELECTED_PX, first, last)
                 return cls(at, None, selected.name, beside, size_px)
             towards = (at - middle) / np.linalg.norm(at - middle)
         half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
         tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
         beside = tip - (_SELECTED_PX + _MARGIN) * towards - size_px * (0.5 + 0.5 * towards)
-        return cls(tip, towards, selected.name, np.clip(beside, clip[:2], np.array(clip[2:]) - size_px), size_px)
+        return cls(tip, towards, selected.name, np.clip(beside, first, last), size_px)
 
     def region(self, view: ImageView, corner: Float) -> ImageRegion:
         """Return the part of the image that its name covers; `corner` (2,): of the panel."""

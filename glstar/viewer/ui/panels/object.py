@@ -65,7 +65,7 @@ class CutOut:
 def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
     """Return the surroundings of a star in the middle of its exposure; None if it is then outside the image.
 
-    The expected profile is that of a star that moves uniformly on a straight line.  `pixels` (height, width) uint8 or
+    The expected profile belongs to a star that moves uniformly on a straight line.  `pixels` (height, width) uint8 or
     uint16; `direction_eq` (3,): of the star; `flux_dn`: sum of its flux over the image, DN.
     """
     # The middle of a stacked image is that of its nearest short exposure: between two of them the star jumps.

@@ -323,7 +323,7 @@ class Timeline:
         return [(second + later_s, value) for second, value in points] if later_s else points
 
     def _draw_others(self, curve: TimelineCurve, palette: Palette) -> None:
-        """Draw the lines of the other logs into the current plot, behind those of the flight."""
+        """Draw the lines of the other logs into the current plot, behind the flight's lines."""
         for log in self._others:
             later_s = log.flight.attitude.first_s - self._origin_s
             points = self._thinned(curve, log.traces.get(curve, ()), later_s)
