@@ -57,8 +57,14 @@ def find(window: RealWindow, places: Places, name: str) -> np.ndarray:
     row = lambda screen: places.search(screen, 122, 132)  # noqa: E731
     window.until(lambda screen: np.median(row(screen)[..., 0] - row(screen)[..., 2]) > 12, "the match")
     window.still()
-    window.press("Return")
-    return window.until(lambda screen: not opens(screen) and rows_of_text(screen, places) > 5, "the object")
+
+    def choose() -> None:
+        """Press Return while the dialog is open: a window that is busy may lose it."""
+        if opens(window.screen()):
+            window.press("Return")
+
+    is_shown = lambda screen: not opens(screen) and rows_of_text(screen, places) > 5  # noqa: E731
+    return window.until(is_shown, "the object", again=choose)
 
 
 def ask_for_sky(window: RealWindow, places: Places) -> None:
