@@ -2,9 +2,11 @@
 
 import os
 import signal
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.testing
 from hypothesis import HealthCheck, settings
 
 import glstar
@@ -19,9 +21,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    # A suite that runs in the background of a shell ignores SIGINT, and its children would, too.
+    # A suite that runs in the background of a shell ignores SIGINT, under nohup SIGHUP, and its children would, too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    # As the command line does: waiting threads of OpenBLAS take the processors from the other workers.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A process builds one program of all commands, not one for each command line that a test runs in it.
+    typer.testing._get_command = cache(typer.testing._get_command)
     # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     # Mistakes of glstar's own code are not taken for damage of a file.
