@@ -48,8 +48,8 @@ from tests.support.exports import (
     wait_for_frames,
 )
 
-SHORT = ("--exposure", 0.1, "--every", 0.04)  # enough frames to kill a process meanwhile
-SHORTS = 311
+SHORT = ("--exposure", 0.1, "--every", 0.08)  # enough frames to kill a process meanwhile
+SHORTS = 156
 
 # Runs the command line, and sends itself Ctrl-C just before a library is imported.
 INTERRUPTED = """
