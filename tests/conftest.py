@@ -1,5 +1,6 @@
 """Flags of the test suite, and the environment of its child processes."""
 
+import ctypes.util
 import os
 import signal
 from functools import cache
@@ -30,6 +31,8 @@ def pytest_configure() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A process builds one program of all commands, not one for each command line that a test runs in it.
     typer.testing._get_command = cache(typer.testing._get_command)
+    # Each context of OpenGL would start two processes to find its libraries.
+    ctypes.util.find_library = cache(ctypes.util.find_library)
     # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     # Mistakes of glstar's own code are not taken for damage of a file.

@@ -8,10 +8,14 @@ import struct
 import subprocess
 import sys
 from functools import cache
+from typing import Any
 
 import pytest
+from rich import box
+from rich.table import Table
 
 from glstar.camera.presets import sensor_presets
+from glstar.cli import tables
 
 pty = pytest.importorskip("pty")
 termios = pytest.importorskip("termios")
@@ -108,3 +112,27 @@ def test_a_narrow_terminal_gets_a_block_for_each_row() -> None:
     assert lines[0].startswith("The sky over")
     assert "HR 2491" in lines
     assert "  name Sirius, vmag -1.46, ra deg" in lines
+
+
+WORDS = ("Sirius", "alpha Canis Majoris B", "天狼星", "ends with a space ", "", "two\nlines", "1.5")
+
+
+@pytest.mark.parametrize("columns", [24, 30, 45, 60, 200])
+@pytest.mark.parametrize("kind", [{}, {"box": None}, {"box": box.SIMPLE, "pad_edge": False}, {"show_header": False}])
+def test_many_rows_are_printed_as_rich_prints_them(
+    kind: dict[str, Any], columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+    for limit in (10_000, 0):
+        monkeypatch.setattr(tables, "_MANY_ROWS", limit)
+        table = Table(title="The sky", caption="what is in it", **kind)
+        table.add_column("star_name")
+        for header in ("vmag", "azimuth_deg"):
+            table.add_column(header, justify="right", no_wrap=True)
+        for number in range(60):
+            table.add_row(WORDS[number % len(WORDS)], f"{number / 7:.2f}", f"{number**3 / 11:.3f}")
+        tables.print_table(table, pipe_columns=columns)
+        written.append(capsys.readouterr().out)
+
+    assert written[1] == written[0]
+    assert written[0].count("天狼星") == 9
