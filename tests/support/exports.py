@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import chdir
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -66,6 +67,12 @@ def invoke(*words: object) -> SimpleNamespace:
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return SimpleNamespace(rc=result.exit_code, out=result.stdout, err=result.stderr)
+
+
+def in_folder(folder: Path, *words: object) -> SimpleNamespace:
+    """Run the command line in this process, with a folder as the working directory."""
+    with chdir(folder):
+        return invoke(*words)
 
 
 def done(*words: object) -> SimpleNamespace:
