@@ -1,8 +1,10 @@
 """Flags of the test suite, and the environment of its child processes."""
 
 import ctypes.util
+import gc
 import os
 import signal
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -33,11 +35,19 @@ def pytest_configure() -> None:
     typer.testing._get_command = cache(typer.testing._get_command)
     # Each context of OpenGL would start two processes to find its libraries.
     ctypes.util.find_library = cache(ctypes.util.find_library)
-    # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.
+    # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.  Compiling the tests,
+    # with what pytest adds to their asserts, takes half of their collection: they are kept, too.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     # Mistakes of glstar's own code are not taken for damage of a file.
     os.environ["GLSTAR_DEVELOPMENT"] = "1"
     # Children take this glstar, from whatever directory they run in, not another one on the user's PYTHONPATH.
     if paths := os.environ.get("PYTHONPATH"):
         ours = Path(glstar.__file__).parents[1]
         os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, [ours, *paths.split(os.pathsep)]))
+
+
+def pytest_collection_finish() -> None:
+    # All tests live to the end: each full garbage collection would take half a second to visit them.
+    gc.collect()
+    gc.freeze()
