@@ -89,7 +89,7 @@ def alone(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -
 def many(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The flight in many short exposures, drawn by one process."""
     directory = tmp_path_factory.mktemp("many") / "frames"
-    done(*words, directory, *SHORT)
+    done(*words, directory, *SHORT, "--workers", 1)
     return directory
 
 
@@ -197,7 +197,7 @@ def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp
     for worker in workers:
         wait_until_gone(worker)
     assert not list(directory.glob(".glstar-writing-*"))
-    done(*words, directory, *SHORT)
+    done(*words, directory, *SHORT, "--workers", 1)
     assert_same(directory, many)
 
 
@@ -273,7 +273,7 @@ def test_a_shard_that_was_killed_is_drawn_by_the_next_run(
     process.communicate()
 
     assert not json.loads(done(*words, directory, *SHORT, "--shard", "2/2", "--json").out)["complete"]
-    report = json.loads(done(*words, directory, *SHORT, "--json").out)
+    report = json.loads(done(*words, directory, *SHORT, "--workers", 1, "--json").out)
 
     assert report["there_already"] >= SHORTS // 2 + 10
     assert_same(directory, many)
@@ -588,7 +588,7 @@ def test_a_killed_dask_scheduler_is_reported_in_one_line_and_the_next_run_contin
     assert err == f"glstar: {mortal.address}: the Dask scheduler has gone; start it again, {GOES_ON}\n"
     mortal.worker.wait(timeout=60)  # it has no scheduler
     assert len(list(directory.glob("frame_*.png"))) < SHORTS
-    done(*words, directory, *SHORT)
+    done(*words, directory, *SHORT, "--workers", 1)
     assert_same(directory, many)
 
 

@@ -113,7 +113,7 @@ def wait_for_frames(process: subprocess.Popen[str], directory: Path, count: int)
     while len(list(directory.glob("frame_*.png"))) < count:
         assert process.poll() is None, "it ended before it had that many frames"
         assert time.monotonic() < until_s
-        time.sleep(0.001)
+        time.sleep(0.003)
 
 
 def contents(directory: Path) -> dict[str, bytes]:
