@@ -105,6 +105,7 @@ def wait_for_workers(process: "subprocess.Popen[str]") -> list[int]:
     while not (workers := children_of(process.pid)):
         assert process.poll() is None
         assert time.monotonic() < until_s
+        time.sleep(0.002)
     return workers
 
 
