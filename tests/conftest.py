@@ -1,10 +1,15 @@
 """Flags of the test suite, and the environment of its child processes."""
 
+import ctypes.util
+import gc
 import os
 import signal
+import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.testing
 from hypothesis import HealthCheck, settings
 
 import glstar
@@ -19,14 +24,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    # A suite that runs in the background of a shell ignores SIGINT, and its children would, too.
+    # A suite that runs in the background of a shell ignores SIGINT, under nohup SIGHUP, and its children would, too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    # As the command line does: waiting threads of OpenBLAS take the processors from the other workers.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A process builds one program of all commands, not one for each command line that a test runs in it.
+    typer.testing._get_command = cache(typer.testing._get_command)
+    # Each context of OpenGL would start two processes to find its libraries.
+    ctypes.util.find_library = cache(ctypes.util.find_library)
+    # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.  Compiling the tests,
+    # with what pytest adds to their asserts, takes half of their collection: they are kept, too.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     # Mistakes of glstar's own code are not taken for damage of a file.
     os.environ["GLSTAR_DEVELOPMENT"] = "1"
     # Children take this glstar, from whatever directory they run in, not another one on the user's PYTHONPATH.
     if paths := os.environ.get("PYTHONPATH"):
         ours = Path(glstar.__file__).parents[1]
         os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, [ours, *paths.split(os.pathsep)]))
+
+
+def pytest_collection_finish() -> None:
+    # All tests live to the end: each full garbage collection would take half a second to visit them.
+    gc.collect()
+    gc.freeze()

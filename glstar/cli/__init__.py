@@ -110,7 +110,7 @@ def _summarised() -> None:
 def _program(words: list[str]) -> typer.Typer:
     """Return the program with the commands that the words of a command line need."""
     if "_GLSTAR_COMPLETE" in os.environ:  # completion by a shell, which sends the words in other variables
-        return _build(COMMANDS)
+        words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")).split()[1:]
     command = chosen(normalised(words))
     if command is not None:
         return _build([command])

@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import gammaincinv, stdtrit
 
 from glstar.arrays import Float
 from glstar.camera.model import Mount
@@ -343,8 +342,8 @@ def _image_equations(pairing: Pairing, focal_px: float, *, fit_readout: bool) ->
         normal = np.einsum("k,kia,kij,kjb->ab", weight, jacobian, information, jacobian)
         right = np.einsum("k,kia,kij,kj->a", weight, jacobian, information, measured)
         residual = measured - jacobian @ np.linalg.solve(normal + np.diag(_PRIOR**-2), right)
-        # 1 if noise alone causes the residuals.
-        ratio = np.einsum("ki,kij,kj->k", residual, information, residual) / chi2.median(degrees)
+        # Over the median of chi squared: 1 if noise alone causes the residuals.
+        ratio = np.einsum("ki,kij,kj->k", residual, information, residual) / (2 * gammaincinv(degrees / 2, 0.5))
         spread = max(1.0, float(np.median(ratio)))
         # Cauchy's weights.
         weight = 1 / (1 + ratio / (6 * spread))
@@ -482,7 +481,7 @@ def _jackknife_std(equations: Sequence[_NormalEquations], free: NDArray[np.bool_
         return np.zeros(_MOTIONS)
     without = np.array([_combined([*equations[:k], *equations[k + 1 :]], free, std_rad)[0] for k in range(count)])
     # Student's t: twice the stated error is a 95 % interval for any number of images.
-    few = float(student.ppf(_BELOW_TWO_SIGMA, count - 1)) / 2
+    few = float(stdtrit(count - 1, _BELOW_TWO_SIGMA)) / 2
     return np.asarray(few * np.sqrt((count - 1) * without.var(axis=0)))
 
 

@@ -1,5 +1,6 @@
 """Paths of the bundled shaders and data: inside the package in a wheel, beside it in a checkout."""
 
+from functools import cache
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -23,6 +24,7 @@ MANUAL_KINDS: dict[str, tuple[str, ...]] = {
 }
 
 
+@cache
 def _inside(folder: str, name: str) -> Path:
     """Return a file of `glstar.<folder>`; in an editable install the folder is at the root of the checkout."""
     try:
@@ -63,8 +65,9 @@ def manual_pages() -> dict[str, Path]:
     return {page.stem: page for page in sorted(asset("manual").glob("*.md"))}
 
 
+@cache
 def shader(name: str) -> str:
-    """Return the GLSL source of a shader by its file name, such as ``"star.vert"``."""
+    """Return the GLSL source of a shader by its file name, such as ``"star.vert"``; it is read once."""
     return _inside("shaders", name).read_text(encoding="utf-8")
 
 

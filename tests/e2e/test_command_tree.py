@@ -1,17 +1,15 @@
 """The tree of commands: subcommands, help by any road, names of older releases, suggestions, and help in panels."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
-from glstar.cli import app
+from glstar.cli import _program, app
 from glstar.cli.commands import COMMANDS, OLD_COMMANDS
 from glstar.cli.concepts import CONCEPTS, PANELS
 from glstar.cli.dispatch import normalised
@@ -24,21 +22,19 @@ from tests.support.exports import CAMERA
 
 def invoke(*words: object, columns: int = 80) -> SimpleNamespace:
     """Run the command line in this process, with a terminal of a width."""
-    result = CliRunner(env={"COLUMNS": str(columns)}).invoke(app, [str(word) for word in words])
+    return outcome(app, *words, columns=columns)
+
+
+def as_a_process(*words: str) -> SimpleNamespace:
+    """Run the command line with only those commands that a process of its own loads for these words."""
+    return outcome(_program(list(words)), *words)
+
+
+def outcome(program: typer.Typer, *words: object, columns: int = 80) -> SimpleNamespace:
+    result = CliRunner(env={"COLUMNS": str(columns)}).invoke(program, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return SimpleNamespace(rc=result.exit_code, out=result.stdout, err=result.stderr)
-
-
-def own_process(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "glstar", *words],
-        env=os.environ | {"COLUMNS": "80"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
 
 
 def plain(text: str) -> str:
@@ -47,11 +43,11 @@ def plain(text: str) -> str:
 
 
 def test_twelve_commands_are_listed_and_those_inside_them_are_named() -> None:
-    listed = re.findall(r"^│ (\w+) +[A-Z]", own_process("--help").stdout, re.MULTILINE)
+    listed = re.findall(r"^│ (\w+) +[A-Z]", as_a_process("--help").out, re.MULTILINE)
 
     assert listed == [name for name, entry in COMMANDS.items() if entry.panel]
     assert len(listed) == 12
-    assert "Also: live replay, live answer." in plain(own_process("--help").stdout)
+    assert "Also: live replay, live answer." in plain(as_a_process("--help").out)
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if " " in name])
@@ -62,13 +58,13 @@ def test_a_command_inside_another_is_named_in_the_help_of_the_outer_one(name: st
 
 @pytest.mark.parametrize("words", [("help", "export"), ("--help", "export"), ("-h", "export"), ("export", "--help")])
 def test_help_of_a_command_is_found_by_any_road(words: tuple[str, ...]) -> None:
-    assert own_process(*words).stdout == own_process("export", "-h").stdout != ""
+    assert as_a_process(*words).out == as_a_process("export", "-h").out != ""
 
 
 def test_help_of_an_inner_command_and_of_a_page_and_of_all() -> None:
     assert "Send a navigator's answer" in invoke("help", "live", "answer").out
     assert invoke("help", "mounts").out.startswith("# Mounts\n")
-    assert "Simulate long exposures" in own_process("help").stdout
+    assert "Simulate long exposures" in as_a_process("help").out
 
 
 @pytest.mark.parametrize(("old", "new"), OLD_COMMANDS.items())
@@ -80,12 +76,12 @@ def test_an_old_command_works_with_one_note(old: str, new: str) -> None:
 
 
 def test_an_old_command_in_a_quiet_process_has_no_note() -> None:
-    loud = own_process("catalogue", "info", "--json")
-    quiet = own_process("--quiet", "catalogue", "info", "--json")
+    loud = as_a_process("catalogue", "info", "--json")
+    quiet = as_a_process("--quiet", "catalogue", "info", "--json")
 
-    assert json.loads(loud.stdout)["stars"] == json.loads(quiet.stdout)["stars"] == 9096
-    assert loud.stderr.startswith("note: glstar catalogue is called glstar sky catalogue now")
-    assert quiet.stderr == ""
+    assert json.loads(loud.out)["stars"] == json.loads(quiet.out)["stars"] == 9096
+    assert loud.err.startswith("note: glstar catalogue is called glstar sky catalogue now")
+    assert quiet.err == ""
 
 
 def test_fly_names_its_successor_which_writes_the_same_flight(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ def completed(*words: str) -> list[str]:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
+        (("glstar", "exp"), {"export"}),
         (("glstar", "manual", "tut"), {"tutorial"}),
         (("glstar", "manual", ""), set(manual_pages())),
         (("glstar", "camera", "presets", "imx4"), {"imx477", "imx462"}),

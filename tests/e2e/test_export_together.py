@@ -48,8 +48,8 @@ from tests.support.exports import (
     wait_for_frames,
 )
 
-SHORT = ("--exposure", 0.1, "--every", 0.04)  # enough frames to kill a process meanwhile
-SHORTS = 311
+SHORT = ("--exposure", 0.1, "--every", 0.08)  # enough frames to kill a process meanwhile
+SHORTS = 156
 
 # Runs the command line, and sends itself Ctrl-C just before a library is imported.
 INTERRUPTED = """
@@ -89,7 +89,7 @@ def alone(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -
 def many(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The flight in many short exposures, drawn by one process."""
     directory = tmp_path_factory.mktemp("many") / "frames"
-    done(*words, directory, *SHORT)
+    done(*words, directory, *SHORT, "--workers", 1)
     return directory
 
 
@@ -105,6 +105,7 @@ def wait_for_workers(process: "subprocess.Popen[str]") -> list[int]:
     while not (workers := children_of(process.pid)):
         assert process.poll() is None
         assert time.monotonic() < until_s
+        time.sleep(0.002)
     return workers
 
 
@@ -197,7 +198,7 @@ def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp
     for worker in workers:
         wait_until_gone(worker)
     assert not list(directory.glob(".glstar-writing-*"))
-    done(*words, directory, *SHORT)
+    done(*words, directory, *SHORT, "--workers", 1)
     assert_same(directory, many)
 
 
@@ -273,7 +274,7 @@ def test_a_shard_that_was_killed_is_drawn_by_the_next_run(
     process.communicate()
 
     assert not json.loads(done(*words, directory, *SHORT, "--shard", "2/2", "--json").out)["complete"]
-    report = json.loads(done(*words, directory, *SHORT, "--json").out)
+    report = json.loads(done(*words, directory, *SHORT, "--workers", 1, "--json").out)
 
     assert report["there_already"] >= SHORTS // 2 + 10
     assert_same(directory, many)
@@ -588,7 +589,7 @@ def test_a_killed_dask_scheduler_is_reported_in_one_line_and_the_next_run_contin
     assert err == f"glstar: {mortal.address}: the Dask scheduler has gone; start it again, {GOES_ON}\n"
     mortal.worker.wait(timeout=60)  # it has no scheduler
     assert len(list(directory.glob("frame_*.png"))) < SHORTS
-    done(*words, directory, *SHORT)
+    done(*words, directory, *SHORT, "--workers", 1)
     assert_same(directory, many)
 
 

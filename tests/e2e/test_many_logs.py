@@ -1,21 +1,15 @@
 """Several logs at once: a table of them, and an export that leaves out unreadable ones."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from glstar.system.resources import asset
 from tests.support.dataflash import Log, times
+from tests.support.exports import in_folder
 
 DEMO = asset("adelaide.BIN")
-
-
-def glstar(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    program = [sys.executable, "-m", "glstar", *map(str, arguments)]
-    return subprocess.run(program, cwd=cwd, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture
@@ -36,35 +30,35 @@ def logs(tmp_path: Path) -> Path:
 
 
 def test_a_folder_is_surveyed_with_a_line_for_each_log(logs: Path) -> None:
-    result = glstar("info", logs, cwd=logs)
+    result = in_folder(logs, "info", logs)
 
-    assert result.returncode == 0
-    rows = {line.split()[0]: line for line in result.stdout.splitlines() if line.strip()}
+    assert result.rc == 0
+    rows = {line.split()[0]: line for line in result.out.splitlines() if line.strip()}
     assert set(rows) == {"log", "a.BIN", "b.bin", "c.BIN"}
     assert "2024-03-10T11:00:34" in rows["a.BIN"]
     assert "134.5" in rows["a.BIN"]
     assert "ATT, 25.0 Hz" in rows["b.bin"]
     assert "cannot be read" in rows["c.BIN"]
-    assert result.stderr.startswith("c.BIN: no whole record in 1003 bytes")
+    assert result.err.startswith("c.BIN: no whole record in 1003 bytes")
 
 
 def test_a_survey_of_several_logs_as_json_includes_errors(logs: Path) -> None:
-    result = glstar("info", "a.BIN", "c.BIN", "--json", cwd=logs)
+    result = in_folder(logs, "info", "a.BIN", "c.BIN", "--json")
 
-    first, second = json.loads(result.stdout)
+    first, second = json.loads(result.out)
     assert (first["file"], first["duration_s"]) == ("a.BIN", 134.47)
     assert second["file"] == "c.BIN"
     assert second["error"].startswith("no whole record")
-    assert glstar("info", "c.BIN", "c.BIN", cwd=logs).returncode == 1
-    assert glstar("info", "a.BIN", "b.bin", "--plot", "x.png", cwd=logs).returncode == 2
+    assert in_folder(logs, "info", "c.BIN", "c.BIN").rc == 1
+    assert in_folder(logs, "info", "a.BIN", "b.bin", "--plot", "x.png").rc == 2
 
 
 def test_an_export_of_several_logs_leaves_out_and_reports_unreadable_ones(logs: Path) -> None:
     arguments = ("export", "a.BIN", "b.bin", "c.BIN", "--frames", "1", "--exposure", "5", "--every", "60")
-    done = glstar(*arguments, "-o", "frames", "--json", cwd=logs)
+    done = in_folder(logs, *arguments, "-o", "frames", "--json")
 
-    assert done.returncode == 0
-    report = json.loads(done.stdout)
+    assert done.rc == 0
+    report = json.loads(done.out)
     manifest = json.loads((logs / "frames" / "manifest.json").read_text())
     assert report["drawn"] == 1
     assert [flight["name"] for flight in manifest["flights"]] == ["a.BIN"]
@@ -72,17 +66,17 @@ def test_an_export_of_several_logs_leaves_out_and_reports_unreadable_ones(logs: 
     assert reasons == {one["name"]: one["reason"] for one in manifest["left_out"]}
     assert reasons.keys() == {"b.bin", "c.BIN"}
     assert "no exposure of 5 s fits" in reasons["b.bin"]
-    assert "left out: c.BIN: no whole record in 1003 bytes" in done.stderr
+    assert "left out: c.BIN: no whole record in 1003 bytes" in done.err
 
-    strict = glstar(*arguments, "-o", "others", "--strict", cwd=logs)
-    assert strict.returncode == 1
-    assert "c.BIN: no whole record in 1003 bytes" in strict.stderr
+    strict = in_folder(logs, *arguments, "-o", "others", "--strict")
+    assert strict.rc == 1
+    assert "c.BIN: no whole record in 1003 bytes" in strict.err
     assert not (logs / "others").exists()
 
 
 def test_an_export_of_unreadable_logs_only_is_refused(logs: Path) -> None:
-    done = glstar("export", "c.BIN", "c.BIN", "-o", "frames", cwd=logs)
+    done = in_folder(logs, "export", "c.BIN", "c.BIN", "-o", "frames")
 
-    assert done.returncode == 1
-    assert "no whole record" in done.stderr
+    assert done.rc == 1
+    assert "no whole record" in done.err
     assert not (logs / "frames").exists()

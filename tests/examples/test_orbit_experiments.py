@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.examples import perfect_solver
+from tests.support.exports import in_folder
 from tests.support.manualblocks import ROOT, Block, blocks
 
 PAGE = ROOT / "assets" / "manual" / "experiments.md"
@@ -34,6 +35,13 @@ def run(*words: str | Path, folder: Path) -> str:
     return done.stdout
 
 
+def glstar(*words: str, folder: Path) -> str:
+    """Run a command in a folder, and return what it prints."""
+    done = in_folder(folder, *words)
+    assert done.rc == 0, done.err
+    return str(done.out)
+
+
 def pasted(block: Block, folder: Path, *more: str) -> str:
     """Run a block as a reader pastes it; `more`: options of its export that shorten it."""
     if block.language == "toml":
@@ -43,8 +51,10 @@ def pasted(block: Block, folder: Path, *more: str) -> str:
         return run("-c", block.code, folder=folder)
     printed = []
     for program, *words in block.commands:
-        own = ["-m", "glstar", *words, *(more if words[0] == "export" else ())] if program == "glstar" else words
-        printed.append(run(*own, folder=folder))
+        if program == "glstar":
+            printed.append(glstar(*words, *(more if words[0] == "export" else ()), folder=folder))
+        else:
+            printed.append(run(*words, folder=folder))
     return "".join(printed)
 
 
@@ -143,9 +153,9 @@ KM_PER_DEG = 6371 * np.pi / 180
 def orbit_of(folder: Path, errors: str) -> dict[str, Any]:
     """Return the score of one orbit by the solver without image errors."""
     (folder / "orbit.toml").write_text(ORBIT.format(errors=errors), encoding="utf-8")
-    run("-m", "glstar", "export", "-c", "orbit.toml", "-o", "set", "--workers", "1", folder=folder)
+    glstar("export", "-c", "orbit.toml", "-o", "set", "--workers", "1", folder=folder)
     perfect_solver.main(folder / "set", folder / "answers.jsonl")
-    [orbit] = json.loads(run("-m", "glstar", "score", "set", "answers.jsonl", "--json", folder=folder))["orbits"]
+    [orbit] = json.loads(glstar("score", "set", "answers.jsonl", "--json", folder=folder))["orbits"]
     return orbit
 
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from glstar.score.scoring import Score, score
 from tests.examples import solver_adapters
+from tests.support.exports import in_folder
 
 ADAPTERS = Path(solver_adapters.__file__)
 CONFIG = (ADAPTERS.parent / "solvers.toml").read_text(encoding="utf-8")
@@ -32,7 +33,7 @@ Row = dict[str, Any]
 def exported(folder: Path, config: str) -> Path:
     (folder / "night.toml").write_text(config, encoding="utf-8")
     command = ["export", "-c", "night.toml", "-o", "seen", "--blind", "hidden", "--frames", "4"]
-    subprocess.run([sys.executable, "-m", "glstar", *command], cwd=folder, check=True, capture_output=True, timeout=240)
+    assert in_folder(folder, *command).rc == 0
     return folder
 
 

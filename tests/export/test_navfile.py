@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from glstar.rotation import matrix_from_quaternion, turn_between
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
+from tests.support.exports import in_folder
 
 CONFIG = """
 [camera]
@@ -52,17 +51,6 @@ seed = 104729
 """
 
 
-def glstar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "glstar", *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=240,
-    )
-
-
 def lines_of(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
@@ -71,8 +59,8 @@ def lines_of(path: Path) -> list[dict[str, Any]]:
 def blind_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("blind")
     (folder / "nav.toml").write_text(CONFIG, encoding="utf-8")
-    exported = glstar("export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden", folder=folder)
-    assert exported.returncode == 0, exported.stderr
+    exported = in_folder(folder, "export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden")
+    assert exported.rc == 0, exported.err
     return folder
 
 
@@ -117,8 +105,8 @@ def test_png_images_hold_pixels_only(blind_set: Path) -> None:
 
 def test_fits_images_for_a_navigator_have_no_coordinates_site_or_seed(blind_set: Path) -> None:
     words = ("-c", "nav.toml", "-o", "seen_fits", "--blind", "hidden_fits", "--format", "fits", "--frames", "2")
-    exported = glstar("export", *words, folder=blind_set)
-    assert exported.returncode == 0, exported.stderr
+    exported = in_folder(blind_set, "export", *words)
+    assert exported.rc == 0, exported.err
 
     nav, truth = (lines_of(blind_set / path) for path in ("seen_fits/nav.jsonl", "hidden_fits/truth.jsonl"))
     for known, drawn in zip(nav, truth, strict=True):
@@ -141,8 +129,8 @@ def test_fits_images_for_a_navigator_have_no_coordinates_site_or_seed(blind_set:
 def test_images_of_each_format_state_neither_time_nor_place_nor_seed(format_: str, blind_set: Path) -> None:
     seen, hidden = f"seen_{format_}", f"hidden_{format_}"
     words = ("-c", "nav.toml", "-o", seen, "--blind", hidden, "--format", format_, "--frames", "1", "--seed", "990007")
-    exported = glstar("export", *words, folder=blind_set)
-    assert exported.returncode == 0, exported.stderr
+    exported = in_folder(blind_set, "export", *words)
+    assert exported.rc == 0, exported.err
 
     (drawn,) = lines_of(blind_set / hidden / "truth.jsonl")
     image = blind_set / seen / drawn["file"]
@@ -183,16 +171,16 @@ def test_only_a_wrong_clock_moves_the_exposures(changed: dict[str, Any], phase_s
 @pytest.mark.parametrize("output", ["shm:blind", "latest.bin", "zmq://5599 --with-truth"])
 def test_a_blind_export_passes_no_truth_on(output: str, blind_set: Path) -> None:
     words = ("-c", "nav.toml", "-o", "seen_on", "--blind", "hidden_on", "--latest-frame", *output.split())
-    refused = glstar("export", *words, folder=blind_set)
+    refused = in_folder(blind_set, "export", *words)
 
-    assert refused.returncode == 2
-    assert "pass on the truth" in " ".join(refused.stderr.replace("│", " ").split())
+    assert refused.rc == 2
+    assert "pass on the truth" in " ".join(refused.err.replace("│", " ").split())
     assert not (blind_set / "hidden_on").exists()
 
 
 def test_default_seeds_of_a_blind_set_are_named(blind_set: Path) -> None:
     words = ("export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden")
-    assert "give --seed a number of your own" in glstar(*words, folder=blind_set).stderr
+    assert "give --seed a number of your own" in in_folder(blind_set, *words).err
 
 
 def test_the_residuals_of_the_attitude_are_those_of_the_error_model(blind_set: Path) -> None:
@@ -231,15 +219,15 @@ def test_clock_up_and_rates_belong_to_the_estimated_attitude(blind_set: Path) ->
 def test_the_same_command_continues_and_a_navigator_never_gets_the_directory_of_the_truth(blind_set: Path) -> None:
     before = (blind_set / "seen" / "nav.jsonl").read_bytes()
 
-    again = glstar("export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden", folder=blind_set)
-    assert again.stdout.startswith("0 frames drawn")
+    again = in_folder(blind_set, "export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden")
+    assert again.out.startswith("0 frames drawn")
     assert (blind_set / "seen" / "nav.jsonl").read_bytes() == before
 
-    swapped = glstar("export", "-c", "nav.toml", "-o", "hidden", "--blind", "other", folder=blind_set)
-    assert (swapped.returncode, swapped.stderr.count("\n")) == (1, 1)
-    assert "holds manifest.json of another export" in swapped.stderr
-    inside = glstar("export", "-c", "nav.toml", "-o", "new", "--blind", "new/truth", folder=blind_set)
-    assert inside.returncode == 2
+    swapped = in_folder(blind_set, "export", "-c", "nav.toml", "-o", "hidden", "--blind", "other")
+    assert (swapped.rc, swapped.err.count("\n")) == (1, 1)
+    assert "holds manifest.json of another export" in swapped.err
+    inside = in_folder(blind_set, "export", "-c", "nav.toml", "-o", "new", "--blind", "new/truth")
+    assert inside.rc == 2
     assert not (blind_set / "new").exists()
 
 
@@ -257,8 +245,8 @@ def test_only_files_of_a_navigator_may_be_in_its_directory(tmp_path: Path) -> No
 
 
 def test_the_attitude_of_another_message_of_the_log_is_the_estimate(tmp_path: Path) -> None:
-    exported = glstar("export", "-o", "set", "--navigator", "ATT", "--frames", "2", folder=tmp_path)
-    assert exported.returncode == 0, exported.stderr
+    exported = in_folder(tmp_path, "export", "-o", "set", "--navigator", "ATT", "--frames", "2")
+    assert exported.rc == 0, exported.err
 
     nav, truth = lines_of(tmp_path / "set" / "nav.jsonl"), lines_of(tmp_path / "set" / "truth.jsonl")
     for record, frame in zip(nav, truth, strict=True):
@@ -312,7 +300,7 @@ def test_the_estimate_of_a_link_drifts_for_hours_without_a_known_end() -> None:
 
 
 def test_without_a_navigator_there_is_no_record(tmp_path: Path) -> None:
-    assert glstar("export", "-o", "set", "--frames", "1", folder=tmp_path).returncode == 0
+    assert in_folder(tmp_path, "export", "-o", "set", "--frames", "1").rc == 0
 
     assert not (tmp_path / "set" / "nav.jsonl").exists()
 
@@ -323,8 +311,8 @@ def test_the_gimbal_turns_the_estimate_of_the_aircraft_onto_its_platform(tmp_pat
         '[mount]\ngimbal = "level"\n[navigator]\nroll_bias_deg = 0.5\n[flight.synthetic]\npath = "orbit"\n'
         "[camera]\nwidth_px = 64\nheight_px = 48\nfx_px = 61\nfy_px = 61\n"
     )
-    run = glstar("export", "-c", settings.name, "-o", "set", "--frames", "2", folder=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = in_folder(tmp_path, "export", "-c", settings.name, "-o", "set", "--frames", "2")
+    assert run.rc == 0, run.err
     for truth, nav in zip(
         lines_of(tmp_path / "set" / "truth.jsonl"), lines_of(tmp_path / "set" / "nav.jsonl"), strict=True
     ):

@@ -80,7 +80,7 @@ def test_a_trail_ends_where_the_star_sets_and_begins_where_it_rises(renderer, se
     ids=["horizon", "refraction", "fisheye", "fisheye-refraction", "rolling", "shaking"],
 )
 def test_trails_at_the_horizon_behind_a_fisheye_and_of_shaking_and_rolling_cameras_are_as_precise(renderer, variant):
-    fractions = {seed: worst_pixel(renderer, random_trial(seed, variant)).fraction for seed in range(60, 72)}
+    fractions = {seed: worst_pixel(renderer, random_trial(seed, variant)).fraction for seed in range(60, 66)}
     assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
 
 

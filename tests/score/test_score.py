@@ -1,8 +1,6 @@
 """Scores of answers with known errors."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from glstar.score.scoring import Score, score
 from glstar.sky.place.apparent import direction
 from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
+from tests.support.exports import done
 
 DEG, ARCSEC = np.pi / 180, np.pi / 180 / 3600
 Row = dict[str, Any]
@@ -31,12 +30,7 @@ def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An export of two orbits with trails of a few px."""
     folder = tmp_path_factory.mktemp("export")
     flight = "fly:orbit?radius_m=300&turns=2.2&gusts=light&latitude_deg=-34.93&longitude_deg=138.6"
-    subprocess.run(
-        [sys.executable, "-m", "glstar", "export", flight, "-o", str(folder / "set"), "--every", "8", "--seed", "1"],
-        check=True,
-        capture_output=True,
-        timeout=240,
-    )
+    done("export", flight, "-o", folder / "set", "--every", 8, "--seed", 1)
     return folder / "set"
 
 
@@ -344,16 +338,10 @@ def test_missing_files_are_named(export: Path, tmp_path: Path) -> None:
 def test_the_command_prints_a_table_and_writes_json_and_a_plot(export: Path, truth: list[Row], tmp_path: Path) -> None:
     path = answered(truth, true_attitude, tmp_path)
 
-    run = subprocess.run(
-        [sys.executable, "-m", "glstar", "score", str(export), str(path), "-o", str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=240,
-    )
+    printed = done("score", export, path, "-o", tmp_path / "out")
 
-    assert (run.returncode, run.stderr) == (0, "")
-    assert run.stdout.startswith(f"{len(truth)} frames: {len(truth)} solved, 0 refused, 0 false")
+    assert printed.err == ""
+    assert printed.out.startswith(f"{len(truth)} frames: {len(truth)} solved, 0 refused, 0 false")
     saved = json.loads((tmp_path / "out" / "score.json").read_text(encoding="utf-8"))
     assert saved["summary"]["solved"] == len(truth)
     assert saved["summary"]["boresight_arcsec"]["p90"] < 1e-6

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import chdir
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -68,6 +69,12 @@ def invoke(*words: object) -> SimpleNamespace:
     return SimpleNamespace(rc=result.exit_code, out=result.stdout, err=result.stderr)
 
 
+def in_folder(folder: Path, *words: object) -> SimpleNamespace:
+    """Run the command line in this process, with a folder as the working directory."""
+    with chdir(folder):
+        return invoke(*words)
+
+
 def done(*words: object) -> SimpleNamespace:
     """Run the command line in this process; it must succeed."""
     result = invoke(*words)
@@ -106,7 +113,7 @@ def wait_for_frames(process: subprocess.Popen[str], directory: Path, count: int)
     while len(list(directory.glob("frame_*.png"))) < count:
         assert process.poll() is None, "it ended before it had that many frames"
         assert time.monotonic() < until_s
-        time.sleep(0.001)
+        time.sleep(0.003)
 
 
 def contents(directory: Path) -> dict[str, bytes]:

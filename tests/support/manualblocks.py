@@ -12,6 +12,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +95,15 @@ def _shell(block: Block, where: str) -> None:
         assert result.exit_code == 0, f"{where}: glstar {shlex.join(words)}\n{result.output}{result.exception or ''}"
 
 
+@cache
+def _program() -> Any:
+    """Return the program with all commands; to build it takes 35 ms."""
+    return get_command(app)
+
+
 def check_options(words: list[str], where: str) -> None:
     """Check that a command of glstar exists and has the options that are given."""
-    command: Any = get_command(app)
+    command: Any = _program()
     rest = list(words)
     while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
         name = " ".join(rest[:2]) if " ".join(rest[:2]) in command.commands else rest[0]

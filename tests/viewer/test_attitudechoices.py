@@ -58,6 +58,7 @@ def until(viewer: Any, true: Any, patience_s: float = 30.0) -> None:
     while not true():
         viewer.frame(0.0)
         assert time.monotonic() < end_s
+        time.sleep(0.01)  # the loader has the processor between frames, as in a window
     viewer.frame(0.0)
 
 

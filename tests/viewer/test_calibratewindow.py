@@ -40,8 +40,9 @@ def photograph(tmp_path, tmp_path_factory, monkeypatch):
 
 @pytest.fixture
 def calibrating(make_viewer, small):
-    """Return a viewer with another focal length, which can calibrate."""
+    """Return a viewer with another focal length, which can calibrate; it seeks no refraction, as none is drawn."""
     other = {"camera.width_px": 640, "camera.height_px": 480, "camera.fx_px": 555.0, "camera.fy_px": 555.0}
+    other["sky.refraction"] = False
     viewer = make_viewer(config=small.override(**other))
     viewer.interface.calibration.calibrate = calibrate_photo
     return viewer

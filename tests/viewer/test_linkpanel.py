@@ -49,6 +49,7 @@ def frames_until(viewer: Viewer, true: Callable[[], Any], patience_s: float = 20
     while not (found := true()):
         viewer.frame()
         assert time.monotonic() < end_s, viewer.session.status
+        time.sleep(0.01)  # the link has the processor between frames, as in a window
     return found
 
 

@@ -317,7 +317,7 @@ def test_minutes_and_seconds_count_from_the_start_of_a_flight_of_that_length() -
 
 
 @many
-@given(st.floats(0.5, 60.0), st.floats(0.01, 20.0), st.floats(0.1, 20.0), st.integers(1, 3))
+@given(st.floats(0.5, 60.0), st.floats(0.01, 20.0), st.floats(0.4, 20.0), st.integers(1, 3))
 def test_stepping_stops_at_every_exposure_of_an_export_exactly(
     length_s: float, duration_s: float, interval_s: float, stride: int
 ) -> None:

@@ -154,7 +154,7 @@ def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path
 
 def test_an_export_that_is_stopped_keeps_complete_frames_and_can_continue(viewer, log, tmp_path):
     session = viewer.session
-    session.change(**{"exposure.interval_s": 0.05})
+    session.change(**{"exposure.interval_s": 0.1})
     save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, noiseless=False)
     export = session.export
     while export.done < 2:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import fdtrc
 
 from glstar.arrays import Float, Mask, robust_std
 from glstar.calibrate.notes import Note, NoteKind
@@ -138,7 +138,7 @@ def _by_chance(design: Float, values: Float, noise: Float, p: Float) -> tuple[fl
     def chance(without: list[int]) -> float:
         fewer = max(len(without), 1)
         better = (cost([k for k in every if k not in without]) - whole) / whole
-        return float(stats.f.sf(better * free / fewer, fewer, free))
+        return float(fdtrc(fewer, free, max(better, 0.0) * free / fewer))
 
     return chance(every[1:]), [chance([k]) for k in every[1:]]
 

@@ -1,5 +1,6 @@
 """The report of a calibration as a PNG."""
 
+from functools import cache
 from io import BytesIO
 from typing import Any
 
@@ -27,8 +28,9 @@ _MISFIT_TALL = 3.9
 _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
 
 
+@cache
 def prepare_to_draw() -> None:
-    """Load matplotlib and its fonts; it takes 0.5 s and can run in another thread during the detection of stars."""
+    """Load matplotlib and its fonts once; it takes 0.5 s and can run in another thread while stars are detected."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
 
