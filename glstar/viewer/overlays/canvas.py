@@ -4,6 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
 from math import floor, hypot, log10
 
 import numpy as np
@@ -325,6 +326,16 @@ def unit_by_larger_component(vector: Float) -> Float:
         larger = np.abs(vector).max(axis=1, keepdims=True)
         is_long = larger > 1e-6
     return np.where(is_long, vector / np.where(is_long, larger, 1.0), [1.0, 0.0])
+
+
+def round_stride(minimum: float) -> int:
+    """Return the smallest of 1, 2, 5, 10, 20, 50 ... that is at least the minimum."""
+    stride = 1
+    for factor in chain((1,), (factor for _ in range(12) for factor in (2, 2.5, 2))):
+        stride = round(stride * factor)
+        if stride >= minimum:
+            break
+    return stride
 
 
 def arrow_strokes(tails_px: Float, tips_px: Float, barb_px: float) -> Float:

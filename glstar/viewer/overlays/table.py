@@ -13,7 +13,6 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
-from itertools import chain
 from math import isfinite
 from typing import Any, Literal, NamedTuple
 
@@ -37,6 +36,7 @@ from glstar.viewer.overlays.canvas import (
     arrow_strokes,
     ned_to_camera_matrix,
     residual_scale,
+    round_stride,
     unit_by_larger_component,
 )
 from glstar.viewer.overlays.curves import (
@@ -235,7 +235,7 @@ def _draw_ticks(canvas: Canvas, _: DrawingInputs) -> None:
     spacing_px = _TICK_SPACING_SCREEN_PX * canvas.screen_px
     if median_px < spacing_px:
         return
-    stride = _round_stride(spacing_px * n / median_px)
+    stride = round_stride(spacing_px * n / median_px)
     if scene.exposure.readout_s > 0:  # each row records a part of the time
         n = max(1, round(n * scene.exposure.frames * scene.exposure.duration_s / scene.exposure.span_s))
     directions = scene.stars.direction_eq[scene.visible[brightest]]
@@ -253,16 +253,6 @@ def _draw_ticks(canvas: Canvas, _: DrawingInputs) -> None:
         * (_TICK_SCREEN_PX * canvas.screen_px + 2 * scene.sensor.psf_sigma_px)
     )
     canvas.strokes(np.stack([xy[drawn] - across, xy[drawn] + across], axis=1))
-
-
-def _round_stride(minimum: float) -> int:
-    """Return the smallest of 1, 2, 5, 10, 20, 50 ... that is at least the minimum."""
-    stride = 1
-    for factor in chain((1,), (factor for _ in range(12) for factor in (2, 2.5, 2))):
-        stride = round(stride * factor)
-        if stride >= minimum:
-            break
-    return stride
 
 
 def _draw_centroids(canvas: Canvas, inputs: DrawingInputs) -> None:
