@@ -288,7 +288,7 @@ class _Row:
     def number(self, name: str, largest: float = _LARGEST_NUMBER) -> float:
         try:
             number = float(self._row[name])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise self.error(f"{name} is {self._shown(name)}, not a number") from None
         if not isfinite(number) or isinstance(self._row[name], bool):
             raise self.error(f"{name} is {self._shown(name)}, not a finite number")

@@ -76,6 +76,7 @@ def test_a_list_and_its_text_are_the_same_curve(tmp_path):
         ("tone_curve = [[0, 0]]", "two points or more, not 1"),
         ("tone_curve = [[0, 0], [255, 1]]", "divide by full scale"),
         ("tone_curve = [0, 1]", "0 is no pair of numbers"),
+        (f"tone_curve = [[0, 0], [1, {10**400}]]", "is no pair of numbers"),
         ('tone_curve = "none.csv"', "none.csv: there is no such file"),
         ('tone_curve = "c.toml"', "c.toml: "),
         ('tone_curve = [[0, 0], [1, 1]]\ngamma = "srgb"', "leave one out"),
@@ -91,7 +92,8 @@ def test_a_wrong_curve_is_one_line(lines, message, tmp_path):
 
 
 def test_a_json_file_without_a_curve_is_refused(tmp_path):
-    wrong = ("[0]", "3", "null", "[0, 0, 65535, [1, 2]]", '[0, 0, 65535, "1"]', '"ab"')
+    huge = 10**400
+    wrong = ("[0]", "3", "null", "[0, 0, 65535, [1, 2]]", '[0, 0, 65535, "1"]', '"ab"', f"[0, 0, 65535, {huge}]")
     for content in ("{}", *(f'{{"gamma_curve": {curve}}}' for curve in wrong)):
         (tmp_path / "a.json").write_text(content)
         with pytest.raises(ValueError, match=r"a\.json: .*gamma_curve"):

@@ -467,6 +467,13 @@ def test_a_wrong_map_is_refused_in_one_line(words: str, message: str) -> None:
         column_map(words)
 
 
+def test_a_scale_of_hundreds_of_digits_is_no_positive_number(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(f'time = "t"\nquaternion = ["a", "b", "c", "d"]\nquaternion_scale = {10**400}\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match="quaternion_scale must be a positive number"):
+        column_map(str(path))
+
+
 @pytest.mark.parametrize(
     ("text", "words", "message"),
     [

@@ -140,7 +140,7 @@ def _point(row: Any) -> tuple[float, float]:
     try:
         x, y = row
         point = float(x), float(y)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{row!s:.40} is no pair of numbers, [input, output]") from None
     if not all(0 <= value <= 1 for value in point):
         raise ValueError(f"{_shown(point)} is no pair of fractions from 0 to 1: divide by full scale")
@@ -163,7 +163,7 @@ def _rows_of_json(text: str) -> list[Any]:
     for curve in _libcamera_curves(content):
         try:
             fractions = [value / _LIBCAMERA_FULL_SCALE for value in curve]
-        except TypeError:
+        except (TypeError, OverflowError):  # an integer of hundreds of digits is none of 16 bits
             fractions = [0.0]
         if len(fractions) % 2:
             raise ValueError(f"its {_LIBCAMERA_KEY} is no list of inputs and outputs in turn")

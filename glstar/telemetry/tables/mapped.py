@@ -161,10 +161,10 @@ def _value(where: str, hint: Any, value: Any) -> Any:
     if hint is float:
         try:
             number = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = 0.0
         if not 0 < number < 1e12:
-            raise ConfigError(f"{where} must be a positive number, not {value!r}")
+            raise ConfigError(f"{where} must be a positive number, not {value!r:.40}")
         return number
     if hint is str:
         return str(value)
