@@ -45,8 +45,9 @@ class RealWindow:
         self._variables = {**os.environ, "DISPLAY": display}
         self._dump = folder / "Xvfb_screen0"
 
-    def _do(self, *words: str) -> None:
-        subprocess.run(["xdotool", *words], check=True, capture_output=True, env=self._variables, timeout=_PATIENCE_S)
+    def _do(self, *words: str, check: bool = True) -> subprocess.CompletedProcess[bytes]:
+        command = ["xdotool", *words]
+        return subprocess.run(command, check=check, capture_output=True, env=self._variables, timeout=_PATIENCE_S)
 
     def focus(self, process: subprocess.Popen[bytes]) -> None:
         """Wait for a process's window and give it the focus, again and again: one that just appears may refuse it."""
@@ -54,17 +55,11 @@ class RealWindow:
         while not self._has_focus():
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < end_s, "no window has the focus"
-            self._ask("search", "--onlyvisible", "--name", "glstar", "windowfocus")
+            self._do("search", "--onlyvisible", "--name", "glstar", "windowfocus", check=False)
             time.sleep(0.1)
 
     def _has_focus(self) -> bool:
-        return b"glstar" in self._ask("getwindowfocus", "getwindowname").stdout
-
-    def _ask(self, *words: str) -> subprocess.CompletedProcess[bytes]:
-        """Run xdotool without waiting for what may never come."""
-        return subprocess.run(
-            ["xdotool", *words], check=False, capture_output=True, env=self._variables, timeout=_PATIENCE_S
-        )
+        return b"glstar" in self._do("getwindowfocus", "getwindowname", check=False).stdout
 
     def press(self, *chords: str) -> None:
         """Press keys."""

@@ -16,8 +16,8 @@ from glstar.arrays import Float32
 _BLOCK_LINES = 8
 # Blocks that are at a larger distance than this, sigma, do not count: 4e-4 of the light of wide stars.
 FAR_SIGMA = 5.0
-# Pairs of lines that are computed at once: more of them fall out of the processor's cache.
-_PAIRS = 32_768
+# Pairs of lines, or of lines and places, that are computed at once: more of them fall out of the processor's cache.
+PAIRS_AT_ONCE = 32_768
 # Light that is farther than this, in units of the exponent, does not count; and smaller numbers are slow.
 _FAR_EXPONENT = np.float32(-40.0)
 
@@ -40,7 +40,7 @@ def light_sums(lines: Gaussians, half: Float32, is_needed: NDArray[np.bool_]) ->
     """
     count, stars = lines.x.shape
     longest = np.sqrt(np.square(half).sum(axis=0)).max(axis=0, initial=0.0)
-    at_once = max(1, _PAIRS // count)
+    at_once = max(1, PAIRS_AT_ONCE // count)
     both = np.empty((2, count, stars), np.float32)
     for first in range(0, stars, at_once):
         some = slice(first, first + at_once)
@@ -88,7 +88,7 @@ def _add_returning(sums: Float32, lines: Gaussians, half: Float32, is_needed: ND
     count, stars = lines.x.shape
     star, target, source = _near_blocks(lines, half, is_needed)
     within = np.arange(_BLOCK_LINES)[:, np.newaxis]
-    at_once = _PAIRS // _BLOCK_LINES**2
+    at_once = PAIRS_AT_ONCE // _BLOCK_LINES**2
     for begin in range(0, len(star), at_once):
         some = slice(begin, begin + at_once)
         # A last block that is shorter has its last line again, without light.

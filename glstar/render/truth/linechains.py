@@ -13,6 +13,7 @@ from glstar.render.motion.trailmodels import AnalyticSegments, TrailModel
 from glstar.render.readout.rows import OpenPath, RecordedTimes
 from glstar.render.readout.stacking import StackedTrails
 from glstar.render.scene.scene import Scene
+from glstar.render.truth.lightsums import PAIRS_AT_ONCE
 
 Stars = slice | NDArray[np.intp]
 
@@ -22,8 +23,6 @@ _MIN_PARTS = 16
 _SHORT_SIGMA = 1.0
 # Lines whose ends are farther than this, sigma, add less than 1e-5.
 _FAR_SIGMA = 5.0
-# Pairs of lines and places that are computed at once: more of them fall out of the processor's cache.
-_AT_ONCE = 32_768
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +165,7 @@ class NearLines:
         x, y = ((off_px / self.sigma_px).astype(np.float32) for off_px in (x_px, y_px))
         places, count = x.shape
         signal = np.zeros(x.size)
-        at_once = max(1, _AT_ONCE // places)
+        at_once = max(1, PAIRS_AT_ONCE // places)
         for first in range(0, len(self.point), at_once):
             some = slice(first, first + at_once)
             point = self.point[some]

@@ -43,7 +43,7 @@ _LONG_SIGMA = 4.0
 _CANDIDATES = 3
 _SEPARATION_SIGMA = 2.0
 _PROMISING = 0.85
-# Of trails of which a smaller part is on the image, the part of the light on it is not known.
+# If a smaller part of a trail than this is on the image, the part of its light there is not known.
 _LEAST_SHARE = 1e-6
 # Where no light is, px.
 _FAR_PX = 1e7
@@ -91,28 +91,6 @@ def brightest_points(
     return BrightestPoints(*_candidates(lines, light, _SEPARATION_SIGMA * sigma_px), square)
 
 
-def _parts_on_image(lines: "_Lines", camera: Camera, outside_px: Float, sigma_px: Float | float) -> tuple[Float, Float]:
-    """Return which parts of lines are on the image, and which parts of the light of a width along them, (n, m) both.
-
-    `outside_px` (n, m): `Camera.distance_outside_px` of their middles.
-    """
-    on_image = (outside_px <= 0).astype(np.float64)
-    lit = on_image.copy()
-    half_px = np.sqrt(np.square(lines.step_px).sum(axis=0)) / 2
-    across = (np.abs(outside_px) < half_px + 4 * sigma_px).nonzero()
-    middle_px, half_step_px = lines.middle_px[:, *across].T, lines.step_px[:, *across].T / 2
-    # Inwards from the border to both ends; a line that is along it has two equal ends.
-    first, last = (-camera.distance_outside_px(at) for at in (middle_px - half_step_px, middle_px + half_step_px))
-    low, high = np.minimum(first, last) - 0.01 * sigma_px, np.maximum(first, last) + 0.01 * sigma_px
-    on_image[across] = (high / (high - low)).clip(0.0, 1.0)
-    integrals = []
-    for end in (high, low):
-        z = (end / sigma_px).astype(np.float32)
-        integrals.append(z * (normal_from_middle(z) + 0.5) + np.exp(-0.5 * z * z) / sqrt(2 * pi))
-    lit[across] = ((integrals[0] - integrals[1]) * sigma_px / (high - low)).clip(0.0, 1.0)
-    return on_image, lit
-
-
 class _Lines(NamedTuple):
     """The lines of several chains one after the other: at most some hundred; groups of them, or parts of long ones."""
 
@@ -136,7 +114,7 @@ class _Lines(NamedTuple):
         count = len(weight)
         on_image = length_px[camera.contains(np.moveaxis(middle_px, 0, -1))]
         usual_px, longest_px = (on_image.mean(), np.quantile(on_image, 0.95)) if on_image.size else (1.0, 1.0)
-        group = max(-(-count // (_MOST_LINES)), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
+        group = max(-(-count // _MOST_LINES), min(int(_SHORT_SIGMA * sigma_px / max(usual_px, 1e-9)), count // 8))
         if group <= 1:
             parts = max(1, min(ceil(longest_px / (_LONG_SIGMA * sigma_px)), _MOST_DIVIDED // count))
             along = np.tile((np.arange(parts) + 0.5) / parts - 0.5, count)[:, np.newaxis]
@@ -170,6 +148,28 @@ def _grouped(values: Float, first: NDArray[np.intp], *, mean: bool = False) -> F
     """Return the sums or means of groups of consecutive lines, (..., k, m) of (..., n, m), given their first lines."""
     sums = np.add.reduceat(values, first, axis=-2)
     return sums / np.diff(first, append=values.shape[-2])[:, np.newaxis] if mean else np.asarray(sums)
+
+
+def _parts_on_image(lines: _Lines, camera: Camera, outside_px: Float, sigma_px: float) -> tuple[Float, Float]:
+    """Return which parts of lines are on the image, and which parts of the light of a width along them, (n, m) both.
+
+    `outside_px` (n, m): `Camera.distance_outside_px` of their middles.
+    """
+    on_image = (outside_px <= 0).astype(np.float64)
+    lit = on_image.copy()
+    half_px = np.sqrt(np.square(lines.step_px).sum(axis=0)) / 2
+    across = (np.abs(outside_px) < half_px + 4 * sigma_px).nonzero()
+    middle_px, half_step_px = lines.middle_px[:, *across].T, lines.step_px[:, *across].T / 2
+    # Inwards from the border to both ends; a line that is along it has two equal ends.
+    first, last = (-camera.distance_outside_px(at) for at in (middle_px - half_step_px, middle_px + half_step_px))
+    low, high = np.minimum(first, last) - 0.01 * sigma_px, np.maximum(first, last) + 0.01 * sigma_px
+    on_image[across] = (high / (high - low)).clip(0.0, 1.0)
+    integrals = []
+    for end in (high, low):
+        z = (end / sigma_px).astype(np.float32)
+        integrals.append(z * (normal_from_middle(z) + 0.5) + np.exp(-0.5 * z * z) / sqrt(2 * pi))
+    lit[across] = ((integrals[0] - integrals[1]) * sigma_px / (high - low)).clip(0.0, 1.0)
+    return on_image, lit
 
 
 def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -> Float:
@@ -207,10 +207,10 @@ def _candidates(lines: _Lines, signals: Float, separation_px: float) -> tuple[Fl
     return np.stack(middles_px), np.stack(steps_px)
 
 
-def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.bool_]) -> tuple[Float32, Float32]:
+def _signals_and_overlaps(lines: _Lines, sigma_px: float, is_needed: NDArray[np.bool_]) -> tuple[Float32, Float32]:
     """Return the signals of stars and of stars sqrt(2) times as wide at the middles of all lines, (n, m) 1/px^2.
 
-    `on_image` (n, m): of which lines they are needed; of others they may be too small.
+    `is_needed` (n, m): of which lines; those of others may be too small.
 
     A line is exact in its own middle, and a Gaussian elsewhere: of its variance for the wide stars, together within
     3 %, and for the others of that which makes their signal the square of the wide one.  Groups of lines are Gaussians
@@ -227,7 +227,7 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float, on_image: NDArray[np.b
     own = lines.weight / np.sqrt(determinant)
     values = x, y, -0.5 * (1 + yy) / determinant, xy / determinant, -0.5 * (1 + xx) / determinant, own
     half = np.sqrt(3 * np.maximum(np.stack([xx, yy]), 0.0)).astype(np.float32)
-    wide, narrow = light_sums(Gaussians(*(each.astype(np.float32) for each in values)), half, on_image)
+    wide, narrow = light_sums(Gaussians(*(each.astype(np.float32) for each in values)), half, is_needed)
     length2 = np.square(step).sum(axis=0)
     length = np.sqrt(np.maximum(length2, 1e-6))
     for signal, scale in ((wide, 1.0), (narrow, sqrt(2))):
@@ -359,7 +359,7 @@ class _Search:
     def around(self) -> None:
         """Evaluate the signal around the best places: a paraboloid through its logarithms has its peak elsewhere."""
         for step_sigma in _AROUND_SIGMA:
-            step_px, at_px = step_sigma * self._sigma_px, self._best_px
+            step_px, at_px = step_sigma * self._sigma_px, self._best_px.copy()
             middle = np.log(np.maximum(self.largest, 1e-30))
             signal = self._signal_at(at_px + step_px * _AROUND)
             left, right, above, below, beside = np.log(np.maximum(signal, 1e-30))
@@ -388,7 +388,6 @@ class _Search:
         is_larger = signal[best, star] > self.largest
         best, star = best[is_larger], star[is_larger]
         self.largest[star] = signal[best, star]
-        self._best_px = self._best_px.copy()
         self._best_px[:, 0, star] = place_px[:, best, star]
         return signal
 
