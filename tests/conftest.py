@@ -14,6 +14,11 @@ from hypothesis import HealthCheck, settings
 
 import glstar
 
+# Files with tests of half a minute and more each.
+_LONGEST = {
+    *("test_view_work.py", "test_view_sky.py", "test_view_link.py", "test_hostileclients.py"),
+    *("test_closed_loops.py", "test_orbit_experiments.py"),
+}
 # No time limit per example: it would depend on the load of the machine.
 settings.register_profile("any pace", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any pace")
@@ -67,6 +72,19 @@ def _read_bundled_stars_once() -> None:
         return kept[vmag]
 
     CatalogueFile.brighter_than = brighter_than
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return one worker more than processors: while links and windows play in real time, another worker computes."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests that take longest, so that no worker runs one alone at the end."""
+    items.sort(key=lambda item: item.path.name not in _LONGEST)
 
 
 def pytest_collection_finish() -> None:
