@@ -14,6 +14,11 @@ from hypothesis import HealthCheck, settings
 
 import glstar
 
+# Files with tests of half a minute and more each.
+_LONGEST = {
+    *("test_view_work.py", "test_view_sky.py", "test_view_link.py", "test_hostileclients.py"),
+    *("test_closed_loops.py", "test_orbit_experiments.py"),
+}
 # No time limit per example: it would depend on the load of the machine.
 settings.register_profile("any pace", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any pace")
@@ -35,6 +40,9 @@ def pytest_configure() -> None:
     typer.testing._get_command = cache(typer.testing._get_command)
     # Each context of OpenGL would start two processes to find its libraries.
     ctypes.util.find_library = cache(ctypes.util.find_library)
+    _read_bundled_stars_once()
+    # Tests have folders of caches of their own; software OpenGL would compile its shaders again in each: 0.7 s a test.
+    os.environ.setdefault("MESA_SHADER_CACHE_DIR", os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache"))
     # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.  Compiling the tests,
     # with what pytest adds to their asserts, takes half of their collection: they are kept, too.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -45,6 +53,38 @@ def pytest_configure() -> None:
     if paths := os.environ.get("PYTHONPATH"):
         ours = Path(glstar.__file__).parents[1]
         os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, [ours, *paths.split(os.pathsep)]))
+
+
+def _read_bundled_stars_once() -> None:
+    """Keep the stars of the bundled catalogue, by magnitude: each flight of a test would read them again, in 30 ms."""
+    # Later than OPENBLAS_NUM_THREADS, which counts when numpy is imported.
+    from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue  # noqa: PLC0415
+    from glstar.system.resources import asset  # noqa: PLC0415
+
+    read, bundled = CatalogueFile.brighter_than, asset("bsc5.sqlite")
+    kept: dict[float, StarCatalogue] = {}
+
+    def brighter_than(file: CatalogueFile, vmag: float) -> StarCatalogue:
+        if file.path != bundled:
+            return read(file, vmag)
+        if vmag not in kept:
+            kept[vmag] = read(file, vmag)
+        return kept[vmag]
+
+    CatalogueFile.brighter_than = brighter_than
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return one worker more than processors: while links and windows play in real time, another worker computes."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests that take longest, so that no worker runs one alone at the end."""
+    items.sort(key=lambda item: item.path.name not in _LONGEST)
 
 
 def pytest_collection_finish() -> None:

@@ -93,7 +93,7 @@ def _fisheye_radius(coefficients: Coefficients, theta: Float) -> tuple[Float, Fl
 
 def _fisheye_limit_rad(coefficients: Coefficients) -> float:
     k1, k2, k3, k4 = padded(coefficients, 4)
-    return float(min(np.sqrt(_smallest_root([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4])), np.pi))
+    return float(min(np.sqrt(_smallest_root(np.array([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))), np.pi))
 
 
 def _double_sphere_radius(coefficients: Coefficients, theta: Float) -> tuple[Float, Float]:
@@ -142,10 +142,12 @@ def _quotient(s: Float, c: Float, depth: Float, slope: Float) -> tuple[Float, Fl
         return r, (c - r * slope) / depth
 
 
-def _smallest_root(ascending: ArrayLike) -> float:
+def _smallest_root(ascending: Float) -> float:
     """Return the smallest positive real root of a polynomial that is 1 at 0; inf if there is none."""
+    if not np.any(ascending[1:]):
+        return float("inf")
     # In powers of 1 / q the leading coefficient is that 1, however small the others are.
-    roots = np.polynomial.polynomial.polyroots(np.asarray(ascending, dtype=np.float64)[::-1])
+    roots = np.roots(ascending)
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 1e-9)]
     return 1 / float(real.max()) if real.size else float("inf")
 
@@ -224,13 +226,9 @@ def _brown_limit(coefficients: Coefficients) -> float:
     k = coefficients
     numerator = np.array([1, k[0], k[1], k[4]])
     denominator = np.array([1, *k[5:8]])
-    polynomial = np.polynomial.polynomial
     # d(r N/D)/dr = (N D + 2 q (N' D - N D')) / D^2, in powers of q.
-    crossed = polynomial.polysub(
-        polynomial.polymul(polynomial.polyder(numerator), denominator),
-        polynomial.polymul(numerator, polynomial.polyder(denominator)),
-    )
-    derivative = polynomial.polyadd(polynomial.polymul(numerator, denominator), polynomial.polymulx(2 * crossed))
+    power = np.arange(4)
+    derivative = np.convolve((1 + 2 * power) * numerator, denominator) - np.convolve(numerator, 2 * power * denominator)
     limit = float(np.sqrt(min(_smallest_root(derivative), _smallest_root(denominator))))
     return _unfolded(coefficients, limit) if any((*k[2:4], *k[8:12])) else limit
 
@@ -428,12 +426,9 @@ class Lens:
         points, rates : (..., 2) float64
             NaN for directions beyond the `limit_rad`.
         """
-        vector, change = np.broadcast_arrays(
-            np.asarray(direction, dtype=np.float64), np.asarray(rate, dtype=np.float64)
-        )
-        point, point_rate = self._projected(vector, change)
+        point, point_rate = self._projected(np.asarray(direction, np.float64), np.asarray(rate, np.float64))
         assert point_rate is not None
-        return point, point_rate
+        return np.broadcast_to(point, point_rate.shape), point_rate
 
     def unproject(self, xy: ArrayLike) -> Float:
         """Return the directions of points: the inverse of `project`.

@@ -157,9 +157,7 @@ class Camera:
         rate_px : (..., 2) float64
             Derivatives of `xy_px`, px per unit of the parameter; NaN where `xy_px` is NaN.
         """
-        direction, change = np.broadcast_arrays(
-            np.asarray(direction_camera, dtype=np.float64), np.asarray(rate, dtype=np.float64)
-        )
+        direction, change = np.asarray(direction_camera, dtype=np.float64), np.asarray(rate, dtype=np.float64)
         if self.lens is not None:
             point, point_rate = self.lens.project_with_rates(direction, change)
             (x, y), (x_rate, y_rate) = np.moveaxis(point, -1, 0), np.moveaxis(point_rate, -1, 0)
@@ -167,7 +165,7 @@ class Camera:
             x, y, z = _tangents(direction)
             x_rate, y_rate = (change[..., 0] - x * change[..., 2]) / z, (change[..., 1] - y * change[..., 2]) / z
         rate_px = np.stack([self.fx_px * x_rate + self.skew_px * y_rate, self.fy_px * y_rate], axis=-1)
-        return self._pixels(x, y), rate_px
+        return np.broadcast_to(self._pixels(x, y), rate_px.shape), rate_px
 
     def px_per_rad(self, direction_camera: ArrayLike) -> Float:
         """Return the image scale at directions, along the radius and at right angles to it.

@@ -48,8 +48,8 @@ from tests.support.exports import (
     wait_for_frames,
 )
 
-SHORT = ("--exposure", 0.1, "--every", 0.08)  # enough frames to kill a process meanwhile
-SHORTS = 156
+SHORT = ("--exposure", 0.1, "--every", 0.16)  # enough frames to kill a process meanwhile
+SHORTS = 78
 
 # Runs the command line, and sends itself Ctrl-C just before a library is imported.
 INTERRUPTED = """

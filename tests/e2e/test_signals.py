@@ -157,7 +157,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
         "--exposure",
         0.1,
         "--every",
-        0.1,
+        0.2,
         "-o",
     )
     done(*words, folder / "whole")

@@ -110,10 +110,10 @@ def paused(count: int, *words: object) -> subprocess.Popen[str]:
 def wait_for_frames(process: subprocess.Popen[str], directory: Path, count: int) -> None:
     """Return as soon as the directory has that many frames."""
     until_s = time.monotonic() + 60
-    while len(list(directory.glob("frame_*.png"))) < count:
+    while sum(1 for _ in directory.glob("frame_*.png")) < count:
         assert process.poll() is None, "it ended before it had that many frames"
         assert time.monotonic() < until_s
-        time.sleep(0.003)
+        time.sleep(0.01)
 
 
 def contents(directory: Path) -> dict[str, bytes]:

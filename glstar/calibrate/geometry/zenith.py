@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.optimize import minimize
 
 from glstar.arrays import Float
 from glstar.calibrate.geometry.lenschoice import LensCandidate, best_lens, scatter_px
 from glstar.calibrate.geometry.lensfit import fit_camera
 from glstar.calibrate.identify.leastsquares import CameraPoses, FreeParameters, IdentifiedStars, fit_parameters
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars
-from glstar.calibrate.minimise import Minimum
+from glstar.calibrate.minimise import Minimum, minimise
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.errors import CalibrationError
 from glstar.sky.air.refraction import refraction_displacement
@@ -37,8 +36,9 @@ _FALSE_FRACTION = 0.02
 _THINNER = (0.25, 0.05)
 # Only stars near the horizon show thin air: sine of the altitude.
 _LOW = 0.35
-_START_RAD = (0.07, 0.14)
 _STEP_RAD = 0.01
+# Refraction is differentiated by the zenith over this angle.
+_NUDGE_RAD = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,12 +81,15 @@ class _RefractedStars:
 
     def fit(self, zenith_eq: Float | None, candidate: LensCandidate) -> Minimum[CameraPoses] | None:
         """Return the best camera with a zenith; None if there is none."""
-        start = self.solution
-        free = FreeParameters(
-            (self.at(zenith_eq),), start.prior_camera or start.camera, (self.noise_px,), candidate.coefficients,
-            candidate.principal_point,
-        )  # fmt: skip
-        return fit_parameters(free, CameraPoses(start.camera, (start.C_camera_eq,)), candidate.model)
+        start = CameraPoses(self.solution.camera, (self.solution.C_camera_eq,))
+        return fit_parameters(self._free(zenith_eq, candidate), start, candidate.model)
+
+    def _free(self, zenith_eq: Float | None, candidate: LensCandidate) -> FreeParameters:
+        """Return the parameters of the camera that are fitted with a zenith."""
+        prior = self.solution.prior_camera or self.solution.camera
+        return FreeParameters(
+            (self.at(zenith_eq),), prior, (self.noise_px,), candidate.coefficients, candidate.principal_point
+        )
 
     def cost(self, zenith_eq: Float | None, candidate: LensCandidate) -> float:
         """Return the robust sum of squares of the best camera, over the noise; infinite if there is none."""
@@ -105,13 +108,37 @@ class _RefractedStars:
         return np.asarray(in_camera @ self.solution.C_camera_eq)
 
     def improved(self, place_rad: Float, candidate: LensCandidate) -> Float:
-        """Return altitude and direction of least cost near others, rad."""
-        corners = place_rad + np.array([[0.0, 0.0], [_START_RAD[0], 0.0], [0.0, _START_RAD[1]]])
-        options = {"initial_simplex": corners, "xatol": 1e-4, "fatol": 1e-3}
-        minimum = minimize(
-            lambda place: self.cost(self.zenith_eq(*place), candidate), place_rad, method="Nelder-Mead", options=options
+        """Return altitude and direction of least cost near others, rad: they are fitted together with the camera."""
+        fit = self.fit(self.zenith_eq(*place_rad), candidate)
+        if fit is None:
+            return place_rad
+
+        def measured(state: tuple[CameraPoses, Float]) -> tuple[Float, Float]:
+            poses, place = state
+            free = self._free(self.zenith_eq(*place), candidate)
+            residual, slopes = free.residuals(poses)
+            by_place = np.zeros((len(residual), 2))
+            by_place[: self.xy_px.size] = self._by_place(poses, place) / self.noise_px
+            return residual, np.column_stack([slopes, by_place])
+
+        def moved(state: tuple[CameraPoses, Float], step: Float) -> tuple[CameraPoses, Float]:
+            poses, place = state
+            return self._free(None, candidate).stepped(poses, step[:-2]), place + step[-2:]
+
+        try:
+            return minimise((fit.state, place_rad), measured, moved, scale=fit.scale).state[1]
+        except (ValueError, np.linalg.LinAlgError, CalibrationError):
+            return place_rad
+
+    def _by_place(self, poses: CameraPoses, place_rad: Float) -> Float:
+        """Return the derivatives of the stars' x, y by altitude and direction of the zenith, px/rad, (2 k, 2)."""
+        [C_camera_eq] = poses.C_camera_eq
+        apparent, *nudged = (
+            self.at(self.zenith_eq(*place)).apparent for place in place_rad + _NUDGE_RAD * np.eye(3, 2, -1)
         )
-        return np.asarray(minimum.x)
+        rates = (np.stack(nudged) - apparent) / _NUDGE_RAD
+        by_place = poses.camera.project_with_rates(apparent @ C_camera_eq.T, rates @ C_camera_eq.T)[1]
+        return np.nan_to_num(by_place).reshape(2, -1).T
 
     def first_place(self, candidate: LensCandidate) -> Float:
         """Return the best of many altitudes and directions, rad, for a camera that answers refraction linearly."""

@@ -24,9 +24,15 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
     The positions (n, 2) are those in the normalized image plane, which the camera matrix maps to pixels.  The
     derivatives of pixels are those by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad (n, 2, 3).
     """
-    axes = np.eye(3)[:, np.newaxis]
-    xy, by_turn = camera.project_with_rates(direction_camera, np.cross(direction_camera, axes))
+    xy, by_turn = camera.project_with_rates(direction_camera, _turned_about_axes(direction_camera))
     return camera.normalized(xy[0]), np.moveaxis(by_turn, 0, -1)
+
+
+def _turned_about_axes(direction: Float) -> Float:
+    """Return the cross products of vectors (n, 3) with the three axes, (3, n, 3); np.cross takes five times as long."""
+    x, y, z = direction.T
+    zero = np.zeros(len(direction))
+    return np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).transpose(0, 2, 1)
 
 
 # Prior standard deviation of the principal point, over the image's width.

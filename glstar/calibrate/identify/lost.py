@@ -77,8 +77,10 @@ def identify_lost(
     is_clear_part = _clear_parts(detected, camera)
     for is_clear in (None,) if is_clear_part is None else (None, is_clear_part):
         some = detected if is_clear is None else detected.without(~is_clear(detected.xy_px))
-        for tried in (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera)):
-            for solution in _recognised(some, reference, catalogue, tried):
+        lenses = (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera))
+        # Every lens, before patterns that chance explains more easily: a search in vain takes seconds.
+        for chance, tried in itertools.product(_PATTERN_CHANCE, lenses):
+            for solution in _recognised(some, reference, catalogue, tried, chance):
                 try:
                     refined = (refine if tried is camera else refine_outwards)(some, reference, solution)
                     return _judged(detected, some, refined, is_clear)
@@ -154,12 +156,13 @@ def _clear_parts(detected: DetectedStars, camera: Camera) -> Callable[[Float], M
 
 
 def _recognised(
-    detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
+    detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera, chance: float
 ) -> Iterator[PlateSolution]:
     """Yield solutions for the pattern of all stars, then for decreasing numbers of the brightest.
 
     Hot pixels and noise hide the pattern of a few bright stars.  With a lens, positions are undistorted, and only stars
-    near the middle are used, where an approximate lens suffices.
+    near the middle are used, where an approximate lens suffices.  `chance`: the largest probability that a pattern is
+    there by chance.
     """
     brightest = np.column_stack([detected.xy_px, detected.peak_dn])
     # Saturated stars are the brightest, whatever their amplitude.
@@ -179,7 +182,7 @@ def _recognised(
     columns, rows = np.round(2 * half).astype(int).tolist()
     patterns = pattern_database(catalogue, fov_rad)
     counts = (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest)))
-    for chance, count in itertools.product(_PATTERN_CHANCE, counts):
+    for count in counts:
         solution = patterns.solve_from_centroids(
             brightest[:count],
             fov_estimate_rad=fov_rad,

@@ -124,9 +124,9 @@ def _squares(columns: Index, rows: Index, xy_px: Float) -> Float:
 
 
 def _pixels(offset_px: Float, sigma_px: Float) -> Float:
-    """Return one axis of a Gaussian of flux 1, integrated over pixels."""
-    upper, lower = (offset_px + 0.5) / (np.sqrt(2) * sigma_px), (offset_px - 0.5) / (np.sqrt(2) * sigma_px)
-    return np.asarray(0.5 * (erf(upper) - erf(lower)))
+    """Return one axis of a Gaussian of flux 1, integrated over pixels in a row: neighbours share an edge."""
+    edges_px = np.concatenate([offset_px - 0.5, offset_px[..., -1:] + 0.5], axis=-1)
+    return np.asarray(0.5 * np.diff(erf(edges_px / (np.sqrt(2) * sigma_px))))
 
 
 def _trail_samples(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:

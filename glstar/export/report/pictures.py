@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Index
 from glstar.errors import ExportError
 from glstar.export.directory import image_path
 from glstar.export.imagefiles.formats import decode
@@ -56,18 +57,42 @@ def picture_of(directory: Path, line: Mapping[str, Any], frames: int) -> Picture
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else str(error)
         raise ExportError(path, f"cannot be shown on a page: {why}") from error
-    return Picture(_compressed(stretched(pixels), min(_ALL_BYTES // frames, _MOST_BYTES)), float(np.median(pixels)))
+    levels, _, counts = _levels_of(pixels)
+    jpeg = _compressed(stretched(pixels), min(_ALL_BYTES // frames, _MOST_BYTES))
+    return Picture(jpeg, _quantile(levels, counts, 0.5))
 
 
 def stretched(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     """Return an image as 8 bits of each channel on an asinh scale: the median is black, the brightest pixels white."""
-    values = pixels.astype(np.float32)
-    sky = float(np.median(values))
-    sigma = max(1.4826 * float(np.median(np.abs(values - sky))), 0.5)
-    white = max(float(np.quantile(values, 0.9999)) - sky, _WHITE_SIGMA * sigma)
+    levels, level_of, counts = _levels_of(pixels)
+    sky = _quantile(levels, counts, 0.5)
+    sigma = max(1.4826 * _quantile(np.abs(levels - sky), counts, 0.5), 0.5)
+    white = max(_quantile(levels, counts, 0.9999) - sky, _WHITE_SIGMA * sigma)
     soft = _LINEAR_SIGMA * sigma
-    shown = np.arcsinh(np.maximum(values - sky, 0) / soft) / np.arcsinh(white / soft)
-    return np.asarray(np.minimum(shown, 1.0) * 255 + 0.5, dtype=np.uint8)
+    shown = np.arcsinh(np.maximum(levels - sky, 0) / soft) / np.arcsinh(white / soft)
+    return np.asarray((np.minimum(shown, 1.0) * 255 + 0.5).astype(np.uint8)[level_of])
+
+
+def _levels_of(pixels: NDArray[Any]) -> tuple[Float, NDArray[Any], Index]:
+    """Return the levels of an image (n,), the index of the level of each pixel, and the pixels at each level (n,).
+
+    Quantiles of a frame's few levels take a tenth of the time of those of its pixels.
+    """
+    if pixels.dtype.kind == "u":
+        counts = np.bincount(pixels.ravel())
+        return np.arange(len(counts), dtype=np.float64), pixels, counts
+    levels, level_of, counts = np.unique(pixels, return_inverse=True, return_counts=True)
+    return levels.astype(np.float64), level_of.reshape(pixels.shape), counts
+
+
+def _quantile(levels: Float, counts: Index, fraction: float) -> float:
+    """Return the quantile of pixels by the number of them at each level, as np.quantile interpolates it."""
+    order = np.argsort(levels, kind="stable")
+    last = np.cumsum(counts[order])
+    place = fraction * (last[-1] - 1)
+    either = np.searchsorted(last, [np.floor(place), min(np.floor(place) + 1, last[-1] - 1)], side="right")
+    low, high = levels[order[either]]
+    return float(low + (place - np.floor(place)) * (high - low))
 
 
 def _compressed(shown: NDArray[np.uint8], most_bytes: int) -> bytes:

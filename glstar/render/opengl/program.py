@@ -70,7 +70,7 @@ def _expanded(file: str, generated: Mapping[str, str], included: set[str] | None
     included = set() if included is None else included
     lines = []
     for number, text in enumerate((generated[file] if file in generated else shader(file)).splitlines(), start=1):
-        include = _INCLUDE.fullmatch(text)
+        include = _INCLUDE.fullmatch(text) if text.startswith("#") else None
         if include is None:
             lines.append(_Line(text, file, number))
         elif include[1] not in included:
