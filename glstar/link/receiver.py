@@ -73,8 +73,9 @@ class Receiver:
         self.ack: int | None = None
         self.acks: list[int] = []
         self._position_ack: int | None = None
-        # Those of `GPS_TYPES` that the autopilot stated.
+        # Those of `GPS_TYPES` that the autopilot stated, and the boots in which they were changed.
         self.parameters: dict[str, float] = {}
+        self.changed: dict[str, int] = {}
         # Its height above home, m.
         self.above_home_m = 0.0
         # Its estimated velocity, north, east and down, m/s, and the arrival by `time.monotonic`, s.
@@ -231,7 +232,7 @@ class Receiver:
     def _choose(self, sender: Sender, arrival_s: float) -> None:
         self.chosen = sender
         self._sequence = None
-        self.parameters = {}
+        self.parameters, self.changed = {}, {}
         self._velocity_s = -inf
         self._chosen_s = arrival_s
         if len(self.systems) > 1:
@@ -359,8 +360,11 @@ class Receiver:
         return self._velocity if now_s - self._velocity_s <= _VELOCITY_TIMEOUT_S else None
 
     def _on_parameter(self, message: Any, _: float) -> None:
-        if message.param_id in GPS_TYPES:
-            self.parameters[message.param_id] = message.param_value
+        name = message.param_id
+        if name in GPS_TYPES:
+            if self.parameters.get(name, message.param_value) != message.param_value:
+                self.changed[name] = self.clock.boot
+            self.parameters[name] = message.param_value
 
     def _on_position(self, message: Any, arrival_s: float) -> None:
         self._rates[MessageId.GLOBAL_POSITION_INT].add(arrival_s)
