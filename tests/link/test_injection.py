@@ -108,7 +108,7 @@ def test_a_position_as_of_a_gps_receiver_is_that_of_now_with_the_velocity_of_the
 
 @pytest.mark.parametrize(("sigma_m", "stated"), [(None, "not stated"), (1234.5, "1.23 km"), (100.5, "0.101 km")])
 def test_a_position_that_gps_input_would_make_too_accurate_is_not_sent(sigma_m: float | None, stated: str) -> None:
-    """ArduPlane 4.7.0-dev (NavEKF3_core::readGpsData) believed 24 km for 0.5 m, and crashed half a minute later."""
+    """ArduPlane 4.7.0-dev (NavEKF3_core::readGpsData) took 24 km for 0.5 m, and crashed half a minute later."""
     injector = Injector(HERE, message="gps_input")
     injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, sigma_m))
 
