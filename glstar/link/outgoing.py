@@ -10,14 +10,15 @@ external_position       MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) in a COMMAND_
 gps_input               GPS_INPUT (232): GPS time of the transmission, where the aircraft has flown until then with
                         the velocity that the autopilot estimates, that velocity, and the standard deviation of the
                         position; height and dilution are marked as to be ignored
-global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, the time since that instant, and its
-                        standard deviation
+global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, where the aircraft has flown until
+                        then (without a velocity: the time since the instant), and the standard deviation
 ======================  =============================================================================================
 
 The autopilot subtracts the delay from the time of arrival.  Heights are unknown.  ArduPilot ignores GPS_INPUT unless
 GPS1_TYPE or GPS2_TYPE is 14, and treats a message without a velocity as one of 0 m/s, whatever its flags say.  It takes
 the least age of such messages for the link's delay, so that a constant delay of the solver would stay in the position.
-Of two receivers with a fix it uses the one with more satellites; its EKF demands six.
+Of two receivers with a fix it uses the one with more satellites; its EKF demands six.  PX4 takes
+GLOBAL_POSITION_SENSOR alone of the two, for the place of its arrival, if EKF2_AGP0_ID is the number of the sensor.
 """
 
 from collections import deque
@@ -259,6 +260,8 @@ _SPEED_KM_PER_S = 0.1
 _AGREEING = 3
 # Value of one of `GPS_TYPES` that takes GPS_INPUT.
 _GPS_OF_MAVLINK = 14
+# Number of the sensor of GLOBAL_POSITION_SENSOR: PX4 knows it by EKF2_AGP0_ID, where 0 is none.
+_SENSOR_ID = 1
 # Interval between requests for it, s, and their number.
 _PARAMETER_S, _PARAMETER_TRIES = 1.0, 4
 # Standard deviation of the velocity that the autopilot estimates and is sent back, m/s.
@@ -464,9 +467,7 @@ class Injector:
         velocity = receiver.velocity(now_s)
         assert velocity is not None
         assert fix.sigma_m is not None
-        age_s = max(utc_s - fix.utc_s, 0.0)
-        place = north_east_of(Site(fix.latitude_rad, fix.longitude_rad), velocity[0] * age_s, velocity[1] * age_s)
-        fix = PositionFix(*place, utc_s, fix.sigma_m)
+        fix = _as_of(utc_s, fix, velocity)
         week, week_s = divmod(fix.utc_s + tai_minus_utc_s(fix.utc_s) - TAI_MINUS_GPS_S - GPS_EPOCH_S, WEEK_S)
         ignored = (
             mavlink.GPS_INPUT_IGNORE_FLAG_ALT
@@ -493,12 +494,16 @@ class Injector:
             _SATELLITES,
         )
 
-    def _global_position_sensor(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has UTC
+    def _global_position_sensor(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:
+        """Return the fix as of now, for PX4 ignores the processing time; without a velocity, as of its instant."""
         mavlink = self._mavlink
         assert receiver.chosen is not None
+        velocity = receiver.velocity(now_s)
+        if velocity is not None:
+            fix = _as_of(utc_s, fix, velocity)
         return mavlink.MAVLink_global_position_sensor_message(
             *receiver.chosen,
-            0,
+            _SENSOR_ID,
             round(utc_s * 1e6),
             round(max(utc_s - fix.utc_s, 0.0) * 1e6),
             mavlink.GLOBAL_POSITION_SRC_UNKNOWN,
@@ -515,6 +520,14 @@ def _gps_id(receiver: Receiver) -> int | None:
     """Return the `gps_id` of the receiver that takes GPS_INPUT; None if the autopilot has not stated one."""
     stated = receiver.parameters.items()
     return next((GPS_TYPES[name] for name, value in stated if value == _GPS_OF_MAVLINK), None)
+
+
+def _as_of(utc_s: float, fix: PositionFix, velocity_m_per_s: tuple[float, float, float]) -> PositionFix:
+    """Return where the aircraft is at a later UTC."""
+    age_s = max(utc_s - fix.utc_s, 0.0)
+    north_m, east_m = velocity_m_per_s[0] * age_s, velocity_m_per_s[1] * age_s
+    place = north_east_of(Site(fix.latitude_rad, fix.longitude_rad), north_m, east_m)
+    return PositionFix(*place, utc_s, fix.sigma_m)
 
 
 def _degrees_e7(fix: PositionFix) -> tuple[int, int]:

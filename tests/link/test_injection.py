@@ -207,6 +207,20 @@ def test_a_position_of_a_sensor_has_its_delay_and_its_accuracy() -> None:
     assert isnan(vague.eph)
 
 
+def test_a_position_of_a_sensor_is_moved_to_where_the_aircraft_is_now() -> None:
+    """PX4 1.17.0-alpha1 dates it by its arrival, and drops the sensor 0 (mavlink_receiver.cpp, EKF2_AGP0_ID)."""
+    injector = Injector(HERE, message="global_position_sensor")
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
+    (moved,) = sent(injector, 10.0, hearing(velocity_m_per_s=(20.0, -8.0)))
+
+    # 15 m north and 6 m west in 0.75 s, as of GPS_INPUT.
+    assert moved.lat + 349300000 == pytest.approx(15 / 0.011093, rel=0, abs=2)
+    assert moved.lon - 1386000000 == pytest.approx(-6 / 0.009139, rel=0, abs=2)
+    assert (moved.id, moved.processing_time) == (1, 0)
+    assert moved.time_usec == pytest.approx((UTC_S + 10) * 1e6, rel=0, abs=10)
+    assert moved.eph == pytest.approx(1234.5, rel=0, abs=1e-3)
+
+
 def test_a_position_waits_for_the_autopilot_and_its_utc() -> None:
     injector = Injector(HERE)
     injector.add(PositionFix(0.1, 0.2, UTC_S))
