@@ -322,7 +322,7 @@ class Injector:
             "gps_input": self._gps_input,
             "global_position_sensor": self._global_position_sensor,
         }[message]
-        self._is_gps_input = message == "gps_input"
+        self._is_gps_input, self._is_reset = message == "gps_input", message == "external_position"
         self._max_km = max_km
         self._fixes: deque[PositionFix] = deque()
         self._sent_last: PositionFix | None = None
@@ -334,8 +334,9 @@ class Injector:
         self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
-        # The boot in which the user was warned of a parameter that was changed.
+        # The boots in which the user was warned of a parameter that was changed, and of PX4 with GNSS.
         self._warned_boot: int | None = None
+        self._warned_gnss_boot: int | None = None
         self._mavlink = dialect()
         self._packed = Packer()
 
@@ -367,6 +368,7 @@ class Injector:
                 self._first = boot, clock_s
             self._passed_s = clock_s - self._first[1]
             self._warn_of_change(receiver)
+            self._warn_of_gnss(receiver, now_s)
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
             self._sent_last, self._doubted = fix, None
         self.sent += len(packets)
@@ -402,6 +404,16 @@ class Injector:
             self._warned_boot = boot
             self.messages.append(
                 f"{names[0]} was changed: the autopilot may ignore the positions until it is restarted"
+            )
+
+    def _warn_of_gnss(self, receiver: Receiver, now_s: float) -> None:
+        """Report, once a boot, that PX4 resets its position whether or not it uses GNSS; ArduPilot refuses that."""
+        boot = receiver.clock.boot
+        is_px4 = (receiver.vehicle or "").startswith("PX4")
+        if self._is_reset and is_px4 and self._warned_gnss_boot != boot and receiver.has_fix(now_s):
+            self._warned_gnss_boot = boot
+            self.messages.append(
+                "PX4 resets its position to each one, although its GNSS receiver has a fix: its estimate may fail"
             )
 
     def _refusal(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> str | None:

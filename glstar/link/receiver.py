@@ -31,6 +31,8 @@ _ATTITUDE_TIMEOUT_S = 5.0
 _FIX_3D = 3
 # An older estimate of the velocity is not used, s.
 _VELOCITY_TIMEOUT_S = 2.0
+# Age of a fix of its GNSS receiver, s.
+_FIX_TIMEOUT_S = 2.0
 # After a longer pause of a sender its sequence numbers do not show losses, s.
 _SEQUENCE_TIMEOUT_S = 2.0
 # A larger change of UTC is reported, s: 7 px at 1 deg/s and f = 3871 px.
@@ -80,7 +82,7 @@ class Receiver:
         self.above_home_m = 0.0
         # Its estimated velocity, north, east and down, m/s, and the arrival by `time.monotonic`, s.
         self._velocity = (0.0, 0.0, 0.0)
-        self._velocity_s = -inf
+        self._velocity_s = self._fix_s = -inf
         self._report = report
         self._sysid = sysid
         mavlink = dialect()
@@ -233,7 +235,7 @@ class Receiver:
         self.chosen = sender
         self._sequence = None
         self.parameters, self.changed = {}, {}
-        self._velocity_s = -inf
+        self._velocity_s = self._fix_s = -inf
         self._chosen_s = arrival_s
         if len(self.systems) > 1:
             systems = " and ".join(map(str, self.systems))
@@ -375,7 +377,12 @@ class Receiver:
         if boot_s is not None and (message.lat or message.lon):
             self._add_position(MessageId.GLOBAL_POSITION_INT, boot_s, message)
 
-    def _on_fix(self, message: Any, _: float) -> None:
+    def has_fix(self, now_s: float) -> bool:
+        """Return whether its GNSS receiver had a 3D fix recently, by `time.monotonic`, s."""
+        return now_s - self._fix_s <= _FIX_TIMEOUT_S
+
+    def _on_fix(self, message: Any, arrival_s: float) -> None:
+        self._fix_s = arrival_s if message.fix_type >= _FIX_3D else -inf
         # A position that is a second old suffices if there is no other.
         latest_s = self.history.latest_boot_s
         if message.fix_type >= _FIX_3D and not self.sends_position and latest_s is not None:

@@ -221,6 +221,23 @@ def test_a_position_of_a_sensor_is_moved_to_where_the_aircraft_is_now() -> None:
     assert moved.eph == pytest.approx(1234.5, rel=0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("autopilot", "fix_type", "count"), [(12, 3, 1), (12, 1, 0), (3, 3, 0)])
+def test_px4_with_a_gnss_fix_is_reported_once(autopilot: int, fix_type: int, count: int) -> None:
+    """PX4 1.17.0-alpha1 accepted positions of 50 m beside GNSS, until its gyro bias and airspeed failed its checks."""
+    heard, _ = flying()
+    plane, injector = Sender(7), Injector(HERE)
+    heard.receive(plane(MAVLINK.MAVLink_heartbeat_message(1, autopilot, 0, 0, 4, 3)), 0.0)
+    heard.receive(system_time(plane, 100.0, UTC_S), 0.0)
+    fix = (-349300000, 1386000000, 300_000, 100, 100, 0, 0, 10)
+    heard.receive(plane(MAVLINK.MAVLink_gps_raw_int_message(109_900_000, fix_type, *fix)), 9.9)
+    for _ in range(2):
+        injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+
+    assert len(sent(injector, 10.0, heard)) == 2
+    assert len(injector.messages) == count
+    assert all("although its GNSS receiver has a fix" in message for message in injector.messages)
+
+
 def test_a_position_waits_for_the_autopilot_and_its_utc() -> None:
     injector = Injector(HERE)
     injector.add(PositionFix(0.1, 0.2, UTC_S))
