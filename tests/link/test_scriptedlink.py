@@ -41,8 +41,8 @@ def test_positions_after_three_hours_are_applied_at_their_instant(message: Injec
         status, flight = link.status(), link.flight()
 
     applied_s = np.array([utc_s for utc_s, *_ in autopilot.applied])
-    if message == "gps_input":  # it has the place of its transmission: this autopilot stands still
-        instants_s = [fix.time_usec / 1e6 for fix in autopilot.received if fix.get_type() == "GPS_INPUT"]
+    if message != "external_position":  # it has the place of its transmission: this autopilot stands still
+        instants_s = [fix.time_usec / 1e6 for fix in autopilot.received if fix.get_type() == message.upper()]
     np.testing.assert_allclose(applied_s - UTC_S, np.array(instants_s) - UTC_S, rtol=0, atol=0.05)
     np.testing.assert_allclose([row[1:] for row in autopilot.applied], [[-34.93, 138.6]] * 4, rtol=0, atol=1e-6)
     assert status.lost == 0
