@@ -296,6 +296,8 @@ class Receiver:
         self._add_attitude(MessageId.ATTITUDE, message.time_boot_ms / 1000, q, arrival_s)
 
     def _on_hil_state(self, message: Any, arrival_s: float) -> None:
+        if not message.time_usec:
+            return  # of PX4's simulator, which states no time
         stamped_s = message.time_usec * 1e-6
         if is_utc := stamped_s >= YEAR_2010_S:
             # Some simulators send UTC instead of the time since boot: it is counted from the first packet.
