@@ -323,6 +323,7 @@ class Injector:
             "global_position_sensor": self._global_position_sensor,
         }[message]
         self._is_gps_input, self._is_reset = message == "gps_input", message == "external_position"
+        self._is_sensor = message == "global_position_sensor"
         self._max_km = max_km
         self._fixes: deque[PositionFix] = deque()
         self._sent_last: PositionFix | None = None
@@ -334,9 +335,8 @@ class Injector:
         self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
-        # The boots in which the user was warned of a parameter that was changed, and of PX4 with GNSS.
+        # The boot in which the user was warned.
         self._warned_boot: int | None = None
-        self._warned_gnss_boot: int | None = None
         self._mavlink = dialect()
         self._packed = Packer()
 
@@ -367,8 +367,7 @@ class Injector:
             if self._first is None or self._first[0] != boot:
                 self._first = boot, clock_s
             self._passed_s = clock_s - self._first[1]
-            self._warn_of_change(receiver)
-            self._warn_of_gnss(receiver, now_s)
+            self._warn(receiver, now_s)
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
             self._sent_last, self._doubted = fix, None
         self.sent += len(packets)
@@ -396,25 +395,20 @@ class Injector:
         request = self._mavlink.MAVLink_param_request_read_message
         return [self._packed(request(*target, name.encode(), -1)) for name in GPS_TYPES]
 
-    def _warn_of_change(self, receiver: Receiver) -> None:
-        """Report, once a boot, that GPS_INPUT is sent to a receiver whose kind was changed after the start."""
+    def _warn(self, receiver: Receiver, now_s: float) -> None:
+        """Report, once a boot, that the autopilot may do with a position what the user does not expect."""
         boot = receiver.clock.boot
-        names = [name for name, value in receiver.parameters.items() if value == _GPS_OF_MAVLINK]
-        if self._is_gps_input and self._warned_boot != boot and names and receiver.changed.get(names[0]) == boot:
+        if self._warned_boot == boot:
+            return
+        takes = next((name for name, value in receiver.parameters.items() if value == _GPS_OF_MAVLINK), "")
+        text = None
+        if self._is_gps_input and receiver.changed.get(takes) == boot:
+            text = f"{takes} was changed: the autopilot may ignore the positions until it is restarted"
+        elif self._is_reset and (receiver.vehicle or "").startswith("PX4") and receiver.has_fix(now_s):
+            text = "PX4 resets its position to each one, although its GNSS receiver has a fix: its estimate may fail"
+        if text is not None:
             self._warned_boot = boot
-            self.messages.append(
-                f"{names[0]} was changed: the autopilot may ignore the positions until it is restarted"
-            )
-
-    def _warn_of_gnss(self, receiver: Receiver, now_s: float) -> None:
-        """Report, once a boot, that PX4 resets its position whether or not it uses GNSS; ArduPilot refuses that."""
-        boot = receiver.clock.boot
-        is_px4 = (receiver.vehicle or "").startswith("PX4")
-        if self._is_reset and is_px4 and self._warned_gnss_boot != boot and receiver.has_fix(now_s):
-            self._warned_gnss_boot = boot
-            self.messages.append(
-                "PX4 resets its position to each one, although its GNSS receiver has a fix: its estimate may fail"
-            )
+            self.messages.append(text)
 
     def _refusal(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> str | None:
         """Return why a fix must not be sent; None if it may."""
@@ -423,20 +417,10 @@ class Injector:
         age_s = utc_s - fix.utc_s
         if age_s > _OLDEST_S:
             return f"it is {age_s:.1f} s old, and an autopilot takes older ones than {_OLDEST_S:g} s for newer"
-        if self._is_gps_input:
-            if receiver.parameters and _gps_id(receiver) is None:
-                stated = " and ".join(f"{name} is {value:g}" for name, value in receiver.parameters.items())
-                which = "it" if len(receiver.parameters) == 1 else "one"
-                return f"{stated}; set {which} to {_GPS_OF_MAVLINK} (MAVLink) and restart the autopilot"
-            if fix.sigma_m is None or fix.sigma_m > _LARGEST_GPS_SIGMA_M:
-                stated = "not stated" if fix.sigma_m is None else f"{fix.sigma_m / 1e3:.3g} km"
-                return (
-                    f"its accuracy is {stated}, and ArduPilot takes one of GPS_INPUT for {_LARGEST_GPS_SIGMA_M:g} m or"
-                    " less; --inject-as external_position keeps it"
-                )
-            if receiver.velocity(now_s) is None:
-                return "GPS_INPUT needs the velocity of GLOBAL_POSITION_INT, which does not arrive"
-        return self._too_far(fix)
+        if self._is_sensor and fix.sigma_m is None:
+            return "its accuracy is not stated, and PX4 takes that for 1 m; the answer needs an error ellipse"
+        refusal = _gps_input_refusal(fix, receiver, now_s) if self._is_gps_input else None
+        return refusal or self._too_far(fix)
 
     def _too_far(self, fix: PositionFix) -> str | None:
         if self._sent_last is None or self._can_follow(self._sent_last, fix):
@@ -523,7 +507,7 @@ class Injector:
             *_degrees_e7(fix),
             nan,
             nan,
-            nan if fix.sigma_m is None else fix.sigma_m,
+            fix.sigma_m,
             nan,
         )
 
@@ -532,6 +516,23 @@ def _gps_id(receiver: Receiver) -> int | None:
     """Return the `gps_id` of the receiver that takes GPS_INPUT; None if the autopilot has not stated one."""
     stated = receiver.parameters.items()
     return next((GPS_TYPES[name] for name, value in stated if value == _GPS_OF_MAVLINK), None)
+
+
+def _gps_input_refusal(fix: PositionFix, receiver: Receiver, now_s: float) -> str | None:
+    """Return why a fix must not be sent as GPS_INPUT; None if it may."""
+    if receiver.parameters and _gps_id(receiver) is None:
+        stated = " and ".join(f"{name} is {value:g}" for name, value in receiver.parameters.items())
+        which = "it" if len(receiver.parameters) == 1 else "one"
+        return f"{stated}; set {which} to {_GPS_OF_MAVLINK} (MAVLink) and restart the autopilot"
+    if fix.sigma_m is None or fix.sigma_m > _LARGEST_GPS_SIGMA_M:
+        accuracy = "not stated" if fix.sigma_m is None else f"{fix.sigma_m / 1e3:.3g} km"
+        return (
+            f"its accuracy is {accuracy}, and ArduPilot takes one of GPS_INPUT for {_LARGEST_GPS_SIGMA_M:g} m or less;"
+            " --inject-as external_position keeps it"
+        )
+    if receiver.velocity(now_s) is None:
+        return "GPS_INPUT needs the velocity of GLOBAL_POSITION_INT, which does not arrive"
+    return None
 
 
 def _as_of(utc_s: float, fix: PositionFix, velocity_m_per_s: tuple[float, float, float]) -> PositionFix:
