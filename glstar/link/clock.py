@@ -6,6 +6,7 @@ difference between the two clocks.
 """
 
 from collections import deque
+from math import inf
 from statistics import median
 
 from glstar.link.status import LatestAttitude
@@ -19,6 +20,9 @@ _READINGS = 31
 # The autopilot has set its clock if this many latest readings agree within this time, s, but differ from the median.
 _NEW_READINGS = 5
 _AGREEMENT_S = 0.05
+# A simulator has set its UTC if that steps by more between two readings, s, and then agrees; PX4 states the computer's
+# UTC, which moves away from the time since boot of a simulation of another speed.
+_SET_S = 0.5
 
 # The smallest delay is taken over this many windows of this length, s: long enough for a packet without delay.
 _WINDOWS = 6
@@ -43,7 +47,8 @@ class BootClock:
     `utc_minus_host_s`, UTC minus `time.monotonic`, s, is used if the autopilot has no UTC; `host_source` names it in
     messages.  `start_utc_s`, UTC of the first packet with a time since boot, seconds since 1970, replaces the UTC of
     the autopilot.  `is_vehicle_time`: whether only the vehicle's own clock counts, as of a simulator that is
-    faster than the computer's, paused, or set back; see `_has_jumped`.
+    faster than the computer's, paused, or set back; see `_has_jumped`.  UTC then counts from the first SYSTEM_TIME of
+    a boot.
     """
 
     def __init__(
@@ -74,6 +79,9 @@ class BootClock:
         self._other_clock_s: float | None = None
         # UTC minus time since boot, by SYSTEM_TIME of the autopilot.
         self._read_s: deque[float] = deque(maxlen=_READINGS)
+        # If only the vehicle's clock counts: the latest reading, and those since a step away from the others.
+        self._last_read_s = -inf
+        self._set_s: list[float] = []
         # Start of each window, and smallest difference of arrival and time since boot in it.
         self._smallest_delay_s: deque[tuple[float, float]] = deque(maxlen=_WINDOWS)
         # UTC minus time since boot, if it is not from the link and only the vehicle's clock counts.
@@ -154,10 +162,31 @@ class BootClock:
         """
         if not YEAR_2010_S <= utc_s < YEAR_2100_S:
             return
+        if self.is_vehicle_time:
+            self._read_first_utc(utc_s - boot_s)
+            return
         self._read_s.append(utc_s - boot_s)
         latest = list(self._read_s)[-_NEW_READINGS:]
         if abs(median(latest) - median(self._read_s)) > _AGREEMENT_S and max(latest) - min(latest) < _AGREEMENT_S:
             self._read_s = deque(latest, maxlen=_READINGS)
+
+    def _read_first_utc(self, utc_minus_boot_s: float) -> None:
+        """Add a reading of UTC minus time since boot, s, whose first values count until UTC is set."""
+        is_step = abs(utc_minus_boot_s - self._last_read_s) > _SET_S
+        self._last_read_s = utc_minus_boot_s
+        if not self._read_s or abs(utc_minus_boot_s - median(self._read_s)) < _AGREEMENT_S:
+            if len(self._read_s) < _READINGS:
+                self._read_s.append(utc_minus_boot_s)
+            self._set_s = []
+        elif is_step:
+            self._set_s = [utc_minus_boot_s]
+        elif self._set_s and abs(utc_minus_boot_s - self._set_s[0]) < _AGREEMENT_S:
+            self._set_s.append(utc_minus_boot_s)
+        else:
+            self._set_s = []
+        if len(self._set_s) == _NEW_READINGS:
+            self._read_s = deque(self._set_s, maxlen=_READINGS)
+            self._set_s = []
 
     def read_others_utc(self, utc_s: float, arrival_s: float) -> None:
         """Add a reading of UTC of another system on the link, which arrived at a time by `time.monotonic`, s."""
@@ -225,6 +254,7 @@ class BootClock:
         self.has_two_clocks = False
         self._other_clock_s = None
         self._read_s.clear()
+        self._set_s = []
         self._smallest_delay_s.clear()
 
     def _add_delay(self, delay_s: float, arrival_s: float) -> None:

@@ -10,13 +10,15 @@ external_position       MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) in a COMMAND_
 gps_input               GPS_INPUT (232): GPS time of the transmission, where the aircraft has flown until then with
                         the velocity that the autopilot estimates, that velocity, and the standard deviation of the
                         position; height and dilution are marked as to be ignored
-global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, the time since that instant, and its
-                        standard deviation
+global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, where the aircraft has flown until
+                        then (without a velocity: the time since the instant), and the standard deviation
 ======================  =============================================================================================
 
 The autopilot subtracts the delay from the time of arrival.  Heights are unknown.  ArduPilot ignores GPS_INPUT unless
-GPS1_TYPE is 14, and treats a message without a velocity as one of 0 m/s, whatever its flags say.  It takes the least
-age of such messages for the link's delay, so that a constant delay of the solver would stay in the position.
+GPS1_TYPE or GPS2_TYPE is 14, and treats a message without a velocity as one of 0 m/s, whatever its flags say.  It takes
+the least age of such messages for the link's delay, so that a constant delay of the solver would stay in the position.
+Of two receivers with a fix it uses the one with more satellites; its EKF demands six.  PX4 takes
+GLOBAL_POSITION_SENSOR alone of the two, for the place of its arrival, if EKF2_AGP0_ID is the number of the sensor.
 """
 
 from collections import deque
@@ -242,20 +244,24 @@ class Requests:
 InjectedMessage = Literal["external_position", "gps_input", "global_position_sensor"]
 
 _FIX_3D = 3
-# Number of satellites that is not known, as in GPS_RAW_INT.
-_UNKNOWN = 255
+# Number of satellites of GPS_INPUT: enough for the EKFs of ArduPilot and PX4, and fewer than a real receiver's.
+_SATELLITES = 6
 # Value of a dilution that is not known.
 _NO_DILUTION = 65535.0
 # ArduPilot applies an older position as if it were of this age, s.
 _OLDEST_S = 5.0
+# ArduPilot's EKF takes a larger standard deviation in GPS_INPUT for this one, m, and one that is not stated for 0.5 m.
+_LARGEST_GPS_SIGMA_M = 100.0
 # Largest standard deviation of a position, m: half of the Earth's circumference.
 _LARGEST_SIGMA_M = 2.1e7
 # Speed that an aircraft may have, km/s.
 _SPEED_KM_PER_S = 0.1
 # Number of positions out of reach in a row, each within reach of the previous one, of which the last is accepted.
 _AGREEING = 3
-# Value of `GPS_TYPES` that takes GPS_INPUT.
+# Value of one of `GPS_TYPES` that takes GPS_INPUT.
 _GPS_OF_MAVLINK = 14
+# Number of the sensor of GLOBAL_POSITION_SENSOR: PX4 knows it by EKF2_AGP0_ID, where 0 is none.
+_SENSOR_ID = 1
 # Interval between requests for it, s, and their number.
 _PARAMETER_S, _PARAMETER_TRIES = 1.0, 4
 # Standard deviation of the velocity that the autopilot estimates and is sent back, m/s.
@@ -316,7 +322,8 @@ class Injector:
             "gps_input": self._gps_input,
             "global_position_sensor": self._global_position_sensor,
         }[message]
-        self._is_gps_input = message == "gps_input"
+        self._is_gps_input, self._is_reset = message == "gps_input", message == "external_position"
+        self._is_sensor = message == "global_position_sensor"
         self._max_km = max_km
         self._fixes: deque[PositionFix] = deque()
         self._sent_last: PositionFix | None = None
@@ -328,6 +335,8 @@ class Injector:
         self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
+        # The boot in which the user was warned.
+        self._warned_boot: int | None = None
         self._mavlink = dialect()
         self._packed = Packer()
 
@@ -342,8 +351,8 @@ class Injector:
             return []
         # A simulator that is sped up or paused expects times by its own clock.
         boot, clock_s = (receiver.clock.boot, boot_s) if receiver.clock.is_vehicle_time else (0, now_s)
-        if self._is_gps_input and not receiver.parameters:
-            questions = self._questions(receiver.chosen, now_s)
+        if self._is_gps_input and _gps_id(receiver) is None:
+            questions = self._questions(receiver, now_s)
             if questions is not None:
                 return questions
         packets = []
@@ -358,25 +367,48 @@ class Injector:
             if self._first is None or self._first[0] != boot:
                 self._first = boot, clock_s
             self._passed_s = clock_s - self._first[1]
+            self._warn(receiver, now_s)
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
             self._sent_last, self._doubted = fix, None
         self.sent += len(packets)
         return packets
 
-    def _questions(self, target: Sender, now_s: float) -> list[bytes] | None:
-        """Return what asks an autopilot for `GPS_TYPES`, if it is time; None once it has not answered often enough."""
+    def _questions(self, receiver: Receiver, now_s: float) -> list[bytes] | None:
+        """Return what asks an autopilot for `GPS_TYPES`, if it is time.
+
+        None once it has answered, or has not answered often enough.
+        """
+        target = receiver.chosen
+        assert target is not None
         asked, times, last_s = self._asked
         times = times if asked == target else 0
         if times > _PARAMETER_TRIES:
             return None
         if times and now_s - last_s < _PARAMETER_S:
             return []
+        if times and receiver.parameters:
+            return None
         self._asked = target, times + 1, now_s
         if times == _PARAMETER_TRIES:
-            self.messages.append(f"the autopilot does not state {GPS_TYPES[0]}: it may ignore the positions")
+            self.messages.append(f"the autopilot does not state {next(iter(GPS_TYPES))}: it may ignore the positions")
             return None
         request = self._mavlink.MAVLink_param_request_read_message
         return [self._packed(request(*target, name.encode(), -1)) for name in GPS_TYPES]
+
+    def _warn(self, receiver: Receiver, now_s: float) -> None:
+        """Report, once a boot, that the autopilot may do with a position what the user does not expect."""
+        boot = receiver.clock.boot
+        if self._warned_boot == boot:
+            return
+        takes = next((name for name, value in receiver.parameters.items() if value == _GPS_OF_MAVLINK), "")
+        text = None
+        if self._is_gps_input and receiver.changed.get(takes) == boot:
+            text = f"{takes} was changed: the autopilot may ignore the positions until it is restarted"
+        elif self._is_reset and (receiver.vehicle or "").startswith("PX4") and receiver.has_fix(now_s):
+            text = "PX4 resets its position to each one, although its GNSS receiver has a fix: its estimate may fail"
+        if text is not None:
+            self._warned_boot = boot
+            self.messages.append(text)
 
     def _refusal(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> str | None:
         """Return why a fix must not be sent; None if it may."""
@@ -385,13 +417,10 @@ class Injector:
         age_s = utc_s - fix.utc_s
         if age_s > _OLDEST_S:
             return f"it is {age_s:.1f} s old, and an autopilot takes older ones than {_OLDEST_S:g} s for newer"
-        if self._is_gps_input:
-            for name, value in receiver.parameters.items():
-                if value != _GPS_OF_MAVLINK:
-                    return f"{name} is {value:g}; set it to {_GPS_OF_MAVLINK} (MAVLink) and restart the autopilot"
-            if receiver.velocity(now_s) is None:
-                return "GPS_INPUT needs the velocity of GLOBAL_POSITION_INT, which does not arrive"
-        return self._too_far(fix)
+        if self._is_sensor and fix.sigma_m is None:
+            return "its accuracy is not stated, and PX4 takes that for 1 m; the answer needs an error ellipse"
+        refusal = _gps_input_refusal(fix, receiver, now_s) if self._is_gps_input else None
+        return refusal or self._too_far(fix)
 
     def _too_far(self, fix: PositionFix) -> str | None:
         if self._sent_last is None or self._can_follow(self._sent_last, fix):
@@ -433,9 +462,8 @@ class Injector:
         mavlink = self._mavlink
         velocity = receiver.velocity(now_s)
         assert velocity is not None
-        age_s = max(utc_s - fix.utc_s, 0.0)
-        place = north_east_of(Site(fix.latitude_rad, fix.longitude_rad), velocity[0] * age_s, velocity[1] * age_s)
-        fix = PositionFix(*place, utc_s, fix.sigma_m)
+        assert fix.sigma_m is not None
+        fix = _as_of(utc_s, fix, velocity)
         week, week_s = divmod(fix.utc_s + tai_minus_utc_s(fix.utc_s) - TAI_MINUS_GPS_S - GPS_EPOCH_S, WEEK_S)
         ignored = (
             mavlink.GPS_INPUT_IGNORE_FLAG_ALT
@@ -443,11 +471,9 @@ class Injector:
             | mavlink.GPS_INPUT_IGNORE_FLAG_VDOP
             | mavlink.GPS_INPUT_IGNORE_FLAG_VERTICAL_ACCURACY
         )
-        if fix.sigma_m is None:
-            ignored |= mavlink.GPS_INPUT_IGNORE_FLAG_HORIZONTAL_ACCURACY
         return mavlink.MAVLink_gps_input_message(
             round(fix.utc_s * 1e6),
-            0,
+            _gps_id(receiver) or 0,
             ignored,
             # Of the last half millisecond of a week no more than its end.
             min(round(week_s * 1e3), round(WEEK_S * 1e3) - 1),
@@ -459,17 +485,21 @@ class Injector:
             _NO_DILUTION,
             *velocity,
             _SPEED_ACCURACY_M_PER_S,
-            fix.sigma_m or 0.0,
+            fix.sigma_m,
             0.0,
-            _UNKNOWN,
+            _SATELLITES,
         )
 
-    def _global_position_sensor(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has UTC
+    def _global_position_sensor(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:
+        """Return the fix as of now, for PX4 ignores the processing time; without a velocity, as of its instant."""
         mavlink = self._mavlink
         assert receiver.chosen is not None
+        velocity = receiver.velocity(now_s)
+        if velocity is not None:
+            fix = _as_of(utc_s, fix, velocity)
         return mavlink.MAVLink_global_position_sensor_message(
             *receiver.chosen,
-            0,
+            _SENSOR_ID,
             round(utc_s * 1e6),
             round(max(utc_s - fix.utc_s, 0.0) * 1e6),
             mavlink.GLOBAL_POSITION_SRC_UNKNOWN,
@@ -477,9 +507,40 @@ class Injector:
             *_degrees_e7(fix),
             nan,
             nan,
-            nan if fix.sigma_m is None else fix.sigma_m,
+            fix.sigma_m,
             nan,
         )
+
+
+def _gps_id(receiver: Receiver) -> int | None:
+    """Return the `gps_id` of the receiver that takes GPS_INPUT; None if the autopilot has not stated one."""
+    stated = receiver.parameters.items()
+    return next((GPS_TYPES[name] for name, value in stated if value == _GPS_OF_MAVLINK), None)
+
+
+def _gps_input_refusal(fix: PositionFix, receiver: Receiver, now_s: float) -> str | None:
+    """Return why a fix must not be sent as GPS_INPUT; None if it may."""
+    if receiver.parameters and _gps_id(receiver) is None:
+        stated = " and ".join(f"{name} is {value:g}" for name, value in receiver.parameters.items())
+        which = "it" if len(receiver.parameters) == 1 else "one"
+        return f"{stated}; set {which} to {_GPS_OF_MAVLINK} (MAVLink) and restart the autopilot"
+    if fix.sigma_m is None or fix.sigma_m > _LARGEST_GPS_SIGMA_M:
+        accuracy = "not stated" if fix.sigma_m is None else f"{fix.sigma_m / 1e3:.3g} km"
+        return (
+            f"its accuracy is {accuracy}, and ArduPilot takes one of GPS_INPUT for {_LARGEST_GPS_SIGMA_M:g} m or less;"
+            " --inject-as external_position keeps it"
+        )
+    if receiver.velocity(now_s) is None:
+        return "GPS_INPUT needs the velocity of GLOBAL_POSITION_INT, which does not arrive"
+    return None
+
+
+def _as_of(utc_s: float, fix: PositionFix, velocity_m_per_s: tuple[float, float, float]) -> PositionFix:
+    """Return where the aircraft is at a later UTC."""
+    age_s = max(utc_s - fix.utc_s, 0.0)
+    north_m, east_m = velocity_m_per_s[0] * age_s, velocity_m_per_s[1] * age_s
+    place = north_east_of(Site(fix.latitude_rad, fix.longitude_rad), north_m, east_m)
+    return PositionFix(*place, utc_s, fix.sigma_m)
 
 
 def _degrees_e7(fix: PositionFix) -> tuple[int, int]:

@@ -47,8 +47,8 @@ GIMBAL_IDS = tuple(MessageId[name] for name in GIMBAL_MESSAGES)
 GIMBAL_NAMES = " or ".join(", ".join(GIMBAL_MESSAGES).rsplit(", ", 1))
 # MAV_CMD_EXTERNAL_POSITION_ESTIMATE.
 EXTERNAL_POSITION_ESTIMATE = 43003
-# ArduPilot's parameter for the kind of its receiver, and its earlier name.
-GPS_TYPES = ("GPS1_TYPE", "GPS_TYPE")
+# ArduPilot's parameters for the kinds of its GNSS receivers, before 4.6 too, and the `gps_id` of each in GPS_INPUT.
+GPS_TYPES = {"GPS1_TYPE": 0, "GPS_TYPE": 0, "GPS2_TYPE": 1, "GPS_TYPE2": 1}
 
 # Window in which rates are counted, s.
 _RATE_WINDOW_S = 2.0

@@ -31,6 +31,8 @@ _ATTITUDE_TIMEOUT_S = 5.0
 _FIX_3D = 3
 # An older estimate of the velocity is not used, s.
 _VELOCITY_TIMEOUT_S = 2.0
+# Age of a fix of its GNSS receiver, s.
+_FIX_TIMEOUT_S = 2.0
 # After a longer pause of a sender its sequence numbers do not show losses, s.
 _SEQUENCE_TIMEOUT_S = 2.0
 # A larger change of UTC is reported, s: 7 px at 1 deg/s and f = 3871 px.
@@ -73,13 +75,14 @@ class Receiver:
         self.ack: int | None = None
         self.acks: list[int] = []
         self._position_ack: int | None = None
-        # Those of `GPS_TYPES` that the autopilot stated.
+        # Those of `GPS_TYPES` that the autopilot stated, and the boots in which they were changed.
         self.parameters: dict[str, float] = {}
+        self.changed: dict[str, int] = {}
         # Its height above home, m.
         self.above_home_m = 0.0
         # Its estimated velocity, north, east and down, m/s, and the arrival by `time.monotonic`, s.
         self._velocity = (0.0, 0.0, 0.0)
-        self._velocity_s = -inf
+        self._velocity_s = self._fix_s = -inf
         self._report = report
         self._sysid = sysid
         mavlink = dialect()
@@ -231,8 +234,8 @@ class Receiver:
     def _choose(self, sender: Sender, arrival_s: float) -> None:
         self.chosen = sender
         self._sequence = None
-        self.parameters = {}
-        self._velocity_s = -inf
+        self.parameters, self.changed = {}, {}
+        self._velocity_s = self._fix_s = -inf
         self._chosen_s = arrival_s
         if len(self.systems) > 1:
             systems = " and ".join(map(str, self.systems))
@@ -293,6 +296,8 @@ class Receiver:
         self._add_attitude(MessageId.ATTITUDE, message.time_boot_ms / 1000, q, arrival_s)
 
     def _on_hil_state(self, message: Any, arrival_s: float) -> None:
+        if not message.time_usec:
+            return  # of PX4's simulator, which states no time
         stamped_s = message.time_usec * 1e-6
         if is_utc := stamped_s >= YEAR_2010_S:
             # Some simulators send UTC instead of the time since boot: it is counted from the first packet.
@@ -359,8 +364,11 @@ class Receiver:
         return self._velocity if now_s - self._velocity_s <= _VELOCITY_TIMEOUT_S else None
 
     def _on_parameter(self, message: Any, _: float) -> None:
-        if message.param_id in GPS_TYPES:
-            self.parameters[message.param_id] = message.param_value
+        name = message.param_id
+        if name in GPS_TYPES:
+            if self.parameters.get(name, message.param_value) != message.param_value:
+                self.changed[name] = self.clock.boot
+            self.parameters[name] = message.param_value
 
     def _on_position(self, message: Any, arrival_s: float) -> None:
         self._rates[MessageId.GLOBAL_POSITION_INT].add(arrival_s)
@@ -371,7 +379,12 @@ class Receiver:
         if boot_s is not None and (message.lat or message.lon):
             self._add_position(MessageId.GLOBAL_POSITION_INT, boot_s, message)
 
-    def _on_fix(self, message: Any, _: float) -> None:
+    def has_fix(self, now_s: float) -> bool:
+        """Return whether its GNSS receiver had a 3D fix recently, by `time.monotonic`, s."""
+        return now_s - self._fix_s <= _FIX_TIMEOUT_S
+
+    def _on_fix(self, message: Any, arrival_s: float) -> None:
+        self._fix_s = arrival_s if message.fix_type >= _FIX_3D else -inf
         # A position that is a second old suffices if there is no other.
         latest_s = self.history.latest_boot_s
         if message.fix_type >= _FIX_3D and not self.sends_position and latest_s is not None:

@@ -90,8 +90,8 @@ def test_rates_that_the_autopilots_loop_cannot_serve_are_requested_lower(tmp_pat
     assert manifest["flight"]["attitude"].startswith("SIM_STATE, ")
 
 
-def solver(frames: Path, answers: Path, over: threading.Event) -> None:
-    """Answer each frame 0.1 km north of where the truth says, with a circle of one standard deviation of 2 km."""
+def solver(frames: Path, answers: Path, over: threading.Event, sigma_km: float = 2.0) -> None:
+    """Answer each frame 0.1 km north of where the truth says, with a circle of one standard deviation."""
     answered = 0
     while not over.wait(0.02):
         partial = frames / "nav.jsonl.partial"
@@ -100,7 +100,7 @@ def solver(frames: Path, answers: Path, over: threading.Event) -> None:
             known = lines(partial) if partial.read_bytes().endswith(b"\n") else []
         with answers.open("a") as file:
             for line in known[answered:]:
-                circle = {"ellipse_major_km": 2, "ellipse_minor_km": 2, "ellipse_azimuth_deg": 0}
+                circle = {"ellipse_major_km": sigma_km, "ellipse_minor_km": sigma_km, "ellipse_azimuth_deg": 0}
                 circle |= {"ellipse_confidence": -np.expm1(-0.5)}
                 answer = {"frame": line["frame"], "latitude_deg": TRUE_DEG[0] + 0.0009, "longitude_deg": TRUE_DEG[1]}
                 file.write(json.dumps({**answer, **circle}) + "\n")
@@ -142,14 +142,14 @@ def test_injected_answers_arrive_with_their_delay_and_accuracy(tmp_path: Path) -
     assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", "COMMAND_INT"}
 
 
-@pytest.mark.parametrize("message", ["gps_input", "global_position_sensor"])
-def test_answers_are_injected_as_another_message(tmp_path: Path, message: str) -> None:
+@pytest.mark.parametrize(("message", "sigma_km"), [("gps_input", 0.08), ("global_position_sensor", 2.0)])
+def test_answers_are_injected_as_another_message(tmp_path: Path, message: str, sigma_km: float) -> None:
     port, frames, answers, config = free_port(), tmp_path / "frames", tmp_path / "answers", tmp_path / "small.toml"
     config.write_text(SMALL)
     words = f"live udpin:127.0.0.1:{port} --truth sim_state --every 0.3 --exposure 0.2 --duration 60 -c {config}"
     more = ["--export", str(frames), "--inject", "--inject-as", message, "--answers", str(answers)]
     over = threading.Event()
-    thread = threading.Thread(target=solver, args=(frames, answers, over))
+    thread = threading.Thread(target=solver, args=(frames, answers, over, sigma_km))
     thread.start()
     with simulated(port) as autopilot:
 
@@ -164,7 +164,7 @@ def test_answers_are_injected_as_another_message(tmp_path: Path, message: str) -
     for fix in fixes():
         assert (fix.lat, fix.lon) == (round((TRUE_DEG[0] + 0.0009) * 1e7), round(TRUE_DEG[1] * 1e7))
         sigma_m = fix.horiz_accuracy if message == "gps_input" else fix.eph
-        assert sigma_m == pytest.approx(2000.0, rel=0, abs=0.1)
+        assert sigma_m == pytest.approx(1000 * sigma_km, rel=0, abs=0.1)
     kinds = {one.get_type() for one in autopilot.received}
     asked = {"PARAM_REQUEST_READ"} if message == "gps_input" else set()
     assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", message.upper()} | asked

@@ -85,6 +85,8 @@ def attitude(middle_px, camera, C_rough, catalogue, u_gcrs, up_camera):
         with np.errstate(invalid="ignore"):
             star_px = np.where(seen[:, 2:] > 0.1, camera.project(seen), np.nan)
         on_image = np.flatnonzero(camera.contains(star_px, margin_px=20.0))
+        if not on_image.size:  # an up_camera that is wrong puts the whole image below the horizon
+            return None
         separation_px = np.linalg.norm(middle_px[:, np.newaxis] - star_px[on_image], axis=-1)
         nearest = separation_px.argmin(axis=1)
         distance_px = separation_px.min(axis=1)

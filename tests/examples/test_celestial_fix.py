@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
+import glstar as gs
+from tests.examples import celestial_fix
 from tests.scripts.celestial_fix_rate import summary_of, summary_of_accelerated
 
 pytest.importorskip("tetra3rs")
@@ -32,6 +35,15 @@ def test_frames_whose_rate_changes_are_refused(tmp_path: Path) -> None:
 
     assert (found["solved"], found["refused"], found["false"]) == (1, 2, 0)
     assert found["position_km"]["median"] < 1.852
+
+
+def test_a_vertical_that_puts_the_image_below_the_horizon_is_refused() -> None:
+    """A vertical that was 180 deg off, of a simulator that lay on its back, ended the solver with a traceback."""
+    catalogue = gs.StarCatalogue.open("bsc5").brighter_than(celestial_fix.FAINTEST_VMAG)
+    camera, middle_px = gs.Camera(640, 480, 600.0, 600.0, 319.5, 239.5), np.full((12, 2), 100.0)
+    u_gcrs, rough = celestial_fix.apparent_directions(catalogue, 1.7e9), np.eye(3)
+
+    assert celestial_fix.attitude(middle_px, camera, rough, catalogue, u_gcrs, np.array([0.0, 0.0, -1.0])) is None
 
 
 @pytest.mark.slow

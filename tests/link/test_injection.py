@@ -84,9 +84,9 @@ def test_a_simulators_clock_counts_the_times_of_positions_and_stands_still_in_a_
 
 def test_a_position_as_of_a_gps_receiver_is_that_of_now_with_the_velocity_of_the_autopilot() -> None:
     injector = Injector(HERE, message="gps_input")
-    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
-    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 10))
-    known, vague = sent(injector, 10.0, hearing(velocity_m_per_s=(20.0, -8.0), GPS1_TYPE=14))
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 87.5))
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 10, 100.0))
+    known, new = sent(injector, 10.0, hearing(velocity_m_per_s=(20.0, -8.0), GPS1_TYPE=14))
 
     assert known.get_type() == "GPS_INPUT"
     # 15 m north and 6 m west in 0.75 s: 1e-7 deg of latitude is 11.09 mm there, of longitude 9.14 mm (WGS84).
@@ -99,42 +99,93 @@ def test_a_position_as_of_a_gps_receiver_is_that_of_now_with_the_velocity_of_the
     # 2024-03-10 11:00 UTC is a Sunday: the GPS week 2305 begins at its midnight, and GPS is 18 s ahead of UTC.
     assert datetime.fromtimestamp(UTC_S, UTC).isoformat() == "2024-03-10T11:00:00+00:00"
     assert (known.time_week, known.time_week_ms) == (2305, (11 * 3600 + 18 + 10) * 1000)
-    assert known.horiz_accuracy == pytest.approx(1234.5, rel=0, abs=1e-3)
+    assert known.horiz_accuracy == pytest.approx(87.5, rel=0, abs=1e-3)
     flags = ("ALT", "HDOP", "VDOP", "VERTICAL_ACCURACY")
     ignored = sum(getattr(MAVLINK, f"GPS_INPUT_IGNORE_FLAG_{flag}") for flag in flags)
     assert known.ignore_flags == ignored
-    assert vague.ignore_flags == ignored + MAVLINK.GPS_INPUT_IGNORE_FLAG_HORIZONTAL_ACCURACY
-    assert (vague.lat, vague.lon) == (-349300000, 1386000000)
+    assert (new.lat, new.lon) == (-349300000, 1386000000)
+
+
+@pytest.mark.parametrize(("sigma_m", "stated"), [(None, "not stated"), (1234.5, "1.23 km"), (100.5, "0.101 km")])
+def test_a_position_that_gps_input_would_make_too_accurate_is_not_sent(sigma_m: float | None, stated: str) -> None:
+    """ArduPlane 4.7.0-dev (NavEKF3_core::readGpsData) took 24 km for 0.5 m, and crashed half a minute later."""
+    injector = Injector(HERE, message="gps_input")
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, sigma_m))
+
+    assert sent(injector, 10.0, hearing(velocity_m_per_s=(1.0, 0.0), GPS1_TYPE=14)) == []
+    assert list(injector.messages) == [
+        f"the position of 11:00:09.2 is not sent: its accuracy is {stated}, and ArduPilot takes one of GPS_INPUT for"
+        " 100 m or less; --inject-as external_position keeps it"
+    ]
 
 
 def test_an_autopilot_that_would_ignore_gps_input_is_asked_and_gets_none() -> None:
     injector = Injector(HERE, message="gps_input")
-    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
 
     asked = sent(injector, 10.0)
     assert [(one.get_type(), one.param_id, one.param_index) for one in asked] == [
         ("PARAM_REQUEST_READ", "GPS1_TYPE", -1),
         ("PARAM_REQUEST_READ", "GPS_TYPE", -1),
+        ("PARAM_REQUEST_READ", "GPS2_TYPE", -1),
+        ("PARAM_REQUEST_READ", "GPS_TYPE2", -1),
     ]
     assert sent(injector, 10.5) == []
+    # The type of the second receiver may follow.
     assert sent(injector, 10.6, hearing(velocity_m_per_s=(1.0, 0.0), GPS_TYPE=1)) == []
+    assert (injector.sent, injector.refused) == (0, 0)
+    assert sent(injector, 11.0, hearing(velocity_m_per_s=(1.0, 0.0), GPS_TYPE=1)) == []
     assert (injector.sent, injector.refused) == (0, 1)
     assert list(injector.messages) == [
         "the position of 11:00:09.2 is not sent: GPS_TYPE is 1; set it to 14 (MAVLink) and restart the autopilot"
     ]
-    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
-    assert sent(injector, 10.7, hearing(GPS1_TYPE=14)) == []
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
+    assert sent(injector, 11.1, hearing(velocity_m_per_s=(1.0, 0.0), GPS1_TYPE=1, GPS2_TYPE=0)) == []
+    assert "GPS1_TYPE is 1 and GPS2_TYPE is 0; set one to 14 (MAVLink)" in injector.messages[-1]
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
+    assert sent(injector, 11.2, hearing(GPS1_TYPE=14)) == []
     assert "needs the velocity of GLOBAL_POSITION_INT" in injector.messages[-1]
+
+
+def test_gps_input_goes_to_the_receiver_that_takes_it_beside_one_that_is_denied() -> None:
+    injector = Injector(HERE, message="gps_input")
+    for _ in range(2):
+        injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
+
+    one, other = sent(injector, 10.0, hearing(velocity_m_per_s=(1.0, 0.0), GPS1_TYPE=1, GPS2_TYPE=14))
+
+    # ArduPlane 4.7.0-dev: AP_GPS_MAV::handle_msg drops what has another number; AP_GPS::update_primary takes the
+    # receiver with more satellites, and NavEKF3::calcGpsGoodToAlign demands six.
+    assert (one.gps_id, one.satellites_visible) == (1, 6)
+    assert (other.gps_id, other.satellites_visible) == (1, 6)
+    assert not injector.messages
+
+
+def test_a_receiver_that_was_made_one_of_mavlink_in_flight_is_reported_once() -> None:
+    """ArduPlane 4.7.0-dev takes another kind of a receiver that sends data at its next start."""
+    heard, plane, injector = (
+        hearing(velocity_m_per_s=(1.0, 0.0), GPS1_TYPE=1),
+        Sender(7),
+        Injector(HERE, message="gps_input"),
+    )
+    heard.receive(plane(MAVLINK.MAVLink_param_value_message(b"GPS1_TYPE", 14, 9, 1, 0)), 10.0)
+    for _ in range(2):
+        injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
+
+    assert [one.gps_id for one in sent(injector, 10.0, heard)] == [0, 0]
+    assert list(injector.messages) == [
+        "GPS1_TYPE was changed: the autopilot may ignore the positions until it is restarted"
+    ]
 
 
 def test_an_autopilot_that_does_not_answer_for_its_parameter_gets_positions_with_a_warning() -> None:
     injector = Injector(HERE, message="gps_input")
-    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
     heard = hearing(velocity_m_per_s=(1.0, 0.0))
 
     kinds = [[one.get_type() for one in sent(injector, 8.0 + step, heard)] for step in range(6)]
 
-    assert kinds == [["PARAM_REQUEST_READ"] * 2] * 4 + [["GPS_INPUT"], []]
+    assert kinds == [["PARAM_REQUEST_READ"] * 4] * 4 + [["GPS_INPUT"], []]
     assert list(injector.messages) == ["the autopilot does not state GPS1_TYPE: it may ignore the positions"]
 
 
@@ -142,7 +193,7 @@ def test_a_position_of_a_sensor_has_its_delay_and_its_accuracy() -> None:
     injector = Injector(HERE, message="global_position_sensor")
     injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
     injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25))
-    known, vague = sent(injector, 10.0)
+    (known,) = sent(injector, 10.0)
 
     assert known.get_type() == "GLOBAL_POSITION_SENSOR"
     assert (known.target_system, known.target_component) == (7, 1)
@@ -153,7 +204,42 @@ def test_a_position_of_a_sensor_has_its_delay_and_its_accuracy() -> None:
     assert isnan(known.alt)
     assert isnan(known.alt_ellipsoid)
     assert isnan(known.epv)
-    assert isnan(vague.eph)
+    # PX4 1.17.0-alpha1 (aux_global_position_control.cpp) took positions by the stars for 1 m: up to 332 km off.
+    assert list(injector.messages) == [
+        "the position of 11:00:09.2 is not sent: its accuracy is not stated, and PX4 takes that for 1 m; the answer"
+        " needs an error ellipse"
+    ]
+
+
+def test_a_position_of_a_sensor_is_moved_to_where_the_aircraft_is_now() -> None:
+    """PX4 1.17.0-alpha1 dates it by its arrival, and drops the sensor 0 (mavlink_receiver.cpp, EKF2_AGP0_ID)."""
+    injector = Injector(HERE, message="global_position_sensor")
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
+    (moved,) = sent(injector, 10.0, hearing(velocity_m_per_s=(20.0, -8.0)))
+
+    # 15 m north and 6 m west in 0.75 s, as of GPS_INPUT.
+    assert moved.lat + 349300000 == pytest.approx(15 / 0.011093, rel=0, abs=2)
+    assert moved.lon - 1386000000 == pytest.approx(-6 / 0.009139, rel=0, abs=2)
+    assert (moved.id, moved.processing_time) == (1, 0)
+    assert moved.time_usec == pytest.approx((UTC_S + 10) * 1e6, rel=0, abs=10)
+    assert moved.eph == pytest.approx(1234.5, rel=0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("autopilot", "fix_type", "count"), [(12, 3, 1), (12, 1, 0), (3, 3, 0)])
+def test_px4_with_a_gnss_fix_is_reported_once(autopilot: int, fix_type: int, count: int) -> None:
+    """PX4 1.17.0-alpha1 accepted positions of 50 m beside GNSS, until its gyro bias and airspeed failed its checks."""
+    heard, _ = flying()
+    plane, injector = Sender(7), Injector(HERE)
+    heard.receive(plane(MAVLINK.MAVLink_heartbeat_message(1, autopilot, 0, 0, 4, 3)), 0.0)
+    heard.receive(system_time(plane, 100.0, UTC_S), 0.0)
+    fix = (-349300000, 1386000000, 300_000, 100, 100, 0, 0, 10)
+    heard.receive(plane(MAVLINK.MAVLink_gps_raw_int_message(109_900_000, fix_type, *fix)), 9.9)
+    for _ in range(2):
+        injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+
+    assert len(sent(injector, 10.0, heard)) == 2
+    assert len(injector.messages) == count
+    assert all("although its GNSS receiver has a fix" in message for message in injector.messages)
 
 
 def test_a_position_waits_for_the_autopilot_and_its_utc() -> None:
@@ -234,7 +320,7 @@ def test_what_is_no_place_on_earth_is_not_sent(fix: tuple[float, float, float]) 
 def test_each_autopilot_that_is_listened_to_is_asked_for_its_parameter() -> None:
     injector = Injector(HERE, message="gps_input")
     heard = hearing(velocity_m_per_s=(1.0, 0.0))
-    assert [len(sent(injector, 8.0 + step, heard)) for step in range(5)] == [2, 2, 2, 2, 0]
+    assert [len(sent(injector, 8.0 + step, heard)) for step in range(5)] == [4, 4, 4, 4, 0]
 
     other = hearing()
     other.chosen = (8, 1)
@@ -254,7 +340,7 @@ def test_an_autopilot_applies_a_position_at_its_instant(message: InjectedMessage
         utc_s = UTC_S + uptime_s + 30.0 * step
         now_s = utc_s + rng.uniform(0.2, 4.0) - UTC_S
         heard.receive(position(plane, now_s, (speed_m_per_s, 0.0)), now_s)
-        place = PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s)
+        place = PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s, 100.0)
         injector.add(place)
         (fix,) = sent(injector, now_s, heard)
         applied_s = clock.applied_s(fix, UTC_S + now_s + rng.uniform(0.0, 0.02))
@@ -301,7 +387,7 @@ def test_positions_at_any_uptime_are_applied_at_their_instant_or_refused(message
         delay_s = float(rng.choice([rng.uniform(0.2, 4.0), rng.uniform(4.0, 8.0)], p=[0.9, 0.1]))
         now_s = utc_s + delay_s - UTC_S
         send(heard, UTC_S + now_s)
-        injector.add(PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s, 1000.0))
+        injector.add(PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s, 100.0))
         fixes, reasons = sent(injector, now_s, heard), len(injector.messages)
         if delay_s > 5 or (lacks_velocity and message == "gps_input"):
             assert (fixes, reasons) == ([], len(outcomes) + 1 - injector.sent)

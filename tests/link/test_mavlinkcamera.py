@@ -304,6 +304,25 @@ def test_a_command_that_is_repeated_takes_one_picture(
     assert len(taken(bench)) == pictures
 
 
+def test_a_trigger_of_px4_is_one_picture_without_a_complaint() -> None:
+    """Sent to each of six components, with a sequence of all (PX4 1.17.0-alpha1, streams/CAMERA_TRIGGER.hpp)."""
+    bench, acks = Bench(exposure_s=0.2), list[tuple[int, int]]()
+    for trigger in range(3):
+        for camera in range(6):
+            start = (0.0, 0.0, 1.0, 6.0 * trigger + camera + 1, nan, nan, nan)
+            for number, values in ((2000, start), (203, (nan, nan, nan, nan, 1.0, nan, nan))):
+                bench.feed(M.MAVLink_command_long_message(7, 100 + camera, number, 0, *values))
+                acks += [(one.command, one.result) for one in bench.sent()]
+        bench.now_s += 1.0
+
+    assert taken(bench) == pytest.approx([20.0, 21.0, 22.0], rel=0, abs=1e-6)
+    assert acks == [(2000, M.MAV_RESULT_ACCEPTED), (203, M.MAV_RESULT_ACCEPTED)] * 3
+    assert not bench.camera.messages
+    # Such a command by itself is a picture.
+    assert bench.result(203, 0, 0, 0, 0, 1) == M.MAV_RESULT_ACCEPTED
+    assert len(taken(bench)) == 1
+
+
 def test_after_a_reboot_the_first_sequence_number_is_a_new_command() -> None:
     """ArduPlane 4.7.0-dev counts its commands from 1 after each boot (AP_Camera_MAVLinkCamV2::trigger_pic)."""
     bench = Bench()

@@ -369,6 +369,25 @@ def test_a_simulators_state_is_attitude_position_and_time(stamped_by_utc: bool) 
     assert place[3] == 300.0
 
 
+def test_a_simulators_state_without_a_time_begins_no_clock() -> None:
+    """PX4 1.17.0-alpha1 leaves its time 0: the first attitude after it was taken for a restart of the autopilot."""
+    heard, messages = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for step in range(100):
+        at_s = step / 50
+        heard.receive(hil_state(plane, 0.0, 0.01 * at_s), at_s)
+        if step >= 25:
+            heard.receive(plane.angles(70.0 + at_s, 0.01 * at_s), at_s + 0.001)
+        if step % 25 == 0:
+            heard.receive(system_time(plane, 70.0 + at_s, UTC_S + at_s), at_s)
+
+    assert heard.attitude_source == "ATTITUDE"
+    assert heard.clock.boot == 0
+    assert not [message for message in messages if "restarted" in message]
+    assert flight_of(heard).attitude.first_s == pytest.approx(UTC_S + 0.5, rel=0, abs=1e-3)
+
+
 def test_the_autopilots_attitude_is_preferred_to_a_simulators_state() -> None:
     heard, messages = flying()
     plane = Sender(1)

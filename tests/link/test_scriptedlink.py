@@ -36,13 +36,13 @@ def test_positions_after_three_hours_are_applied_at_their_instant(message: Injec
             latest = link.latest()
             assert latest is not None
             instants_s.append(time.monotonic() + latest.utc_minus_host_s - delay_s)
-            injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), instants_s[-1], 1000.0))
+            injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), instants_s[-1], 100.0))
             until(lambda: len(autopilot.applied) == len(instants_s), "the position")
         status, flight = link.status(), link.flight()
 
     applied_s = np.array([utc_s for utc_s, *_ in autopilot.applied])
-    if message == "gps_input":  # it has the place of its transmission: this autopilot stands still
-        instants_s = [fix.time_usec / 1e6 for fix in autopilot.received if fix.get_type() == "GPS_INPUT"]
+    if message != "external_position":  # it has the place of its transmission: this autopilot stands still
+        instants_s = [fix.time_usec / 1e6 for fix in autopilot.received if fix.get_type() == message.upper()]
     np.testing.assert_allclose(applied_s - UTC_S, np.array(instants_s) - UTC_S, rtol=0, atol=0.05)
     np.testing.assert_allclose([row[1:] for row in autopilot.applied], [[-34.93, 138.6]] * 4, rtol=0, atol=1e-6)
     assert status.lost == 0
@@ -73,7 +73,7 @@ def test_an_autopilot_that_would_ignore_gps_input_is_reported(parameters: dict[s
     injector = Injector(endpoint, message="gps_input")
     with simulated(port, None, parameters=parameters) as autopilot, Link(endpoint, injector=injector) as link:
         until(lambda: is_dated(link), "a flight")
-        injector.add(PositionFix(0.1, 0.2, UTC_S + 1))
+        injector.add(PositionFix(0.1, 0.2, UTC_S + 1, 100.0))
         until(lambda: any(words in text for text in reported(link)), "the message")
 
     assert autopilot.applied == []

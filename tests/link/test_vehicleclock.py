@@ -54,6 +54,43 @@ def test_frames_are_on_the_grid_of_a_fast_simulator_and_late_ones_are_counted(tm
     assert_true_attitudes(truth)
 
 
+def test_utc_counts_by_the_simulation_where_it_states_the_computers_utc(tmp_path: Path) -> None:
+    """PX4 at five times real time: UTC was set twice a second, and frames were skipped and dated at random."""
+    simulator = {"truth": "HIL_STATE_QUATERNION", "speed": 5.0, "has_computers_utc": True}
+    truth, report, messages = exported(tmp_path, 12, **simulator)
+
+    steps = np.diff(stops_s(truth)) / 0.5
+    np.testing.assert_allclose(steps, np.round(steps), rtol=0, atol=1e-4)
+    assert steps.min() > 0.5
+    assert report["skipped"] == {}
+    assert "UTC was set" not in messages
+    # UTC is that of the first SYSTEM_TIME that was received, and then as far from the time since boot as there.
+    behind_s = [
+        angle_rad(true_yaw_rad(parse_utc(line["utc_mid"]) - 1.0), line["q_body_ned"]) / YAW_RATE_RAD_PER_S - 1.0
+        for line in truth
+    ]
+    assert np.ptp(behind_s) < 2 * 0.02
+
+
+def test_a_simulator_that_sets_its_utc_is_followed_and_one_that_drifts_is_not() -> None:
+    clock = BootClock(is_vehicle_time=True)
+
+    def read(from_s: float, count: int, utc_minus_boot_s: float, drift: float = 0.0) -> float:
+        for number in range(count):
+            boot_s = from_s + 0.5 * number
+            clock.add_packet(boot_s, boot_s)
+            clock.read_utc(boot_s, boot_s + utc_minus_boot_s + drift * 0.5 * number)
+        assert clock.utc_minus_boot_s is not None
+        return clock.utc_minus_boot_s - UTC_S
+
+    assert read(10.0, 40, UTC_S) == 0.0
+    # A computer that is too slow for real time: 4.7 ms/s of a PX4 on a busy one.
+    assert read(30.0, 400, UTC_S, drift=0.0047) == pytest.approx(0.0, rel=0, abs=0.025)
+    assert read(230.0, 100, UTC_S, drift=-0.8) == pytest.approx(0.0, rel=0, abs=0.025)
+    assert read(280.0, 4, UTC_S - 18.0) == pytest.approx(0.0, rel=0, abs=0.025)
+    assert read(282.0, 1, UTC_S - 18.0) == -18.0
+
+
 def test_left_out_exposures_are_reported_when_they_become_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("glstar.export.live._LATE_REPORT_S", 0.0)
     _, report, messages = exported(tmp_path, 12, speed=10.0)

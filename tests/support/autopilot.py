@@ -55,7 +55,9 @@ class SimulatedAutopilot:
     which then goes by steps of 20 ms alone; at the steps in `pauses` it stands still for a time, s, and at those in
     `rewinds` it goes back by some steps, once; `loop_hz`: rate of its loop, with which it sends attitudes and SIM_STATE
     by request alone, and denies a message that it does not know and more than 80 % of that rate, as ArduPlane 4.7.0-dev
-    (GCS_MAVLINK::set_message_interval in GCS_Common.cpp; its loop has 50 Hz).
+    (GCS_MAVLINK::set_message_interval in GCS_Common.cpp; its loop has 50 Hz); `has_computers_utc`: whether SYSTEM_TIME
+    has the computer's UTC whatever the speed, as of PX4 1.17.0-alpha1 (SYSTEM_TIME.hpp reads CLOCK_REALTIME), which
+    leaves the time of HIL_STATE_QUATERNION 0.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class SimulatedAutopilot:
         pauses: Mapping[int, float] = MappingProxyType({}),
         rewinds: Mapping[int, int] = MappingProxyType({}),
         loop_hz: float | None = None,
+        has_computers_utc: bool = False,
     ) -> None:
         self.received: list[Any] = []
         self.applied: list[tuple[float, float, float]] = []
@@ -80,6 +83,7 @@ class SimulatedAutopilot:
         self._is_uneven, self._has_station = is_uneven, has_station
         self._clock, self._began_s = JitterCorrection(), 0.0
         self._speed, self._pauses, self._rewinds = speed, dict(pauses), dict(rewinds)
+        self._has_computers_utc = has_computers_utc
         self._loop_hz, self._granted_hz = loop_hz, dict.fromkeys(_BY_REQUEST, 0.0)
         self._link = MAVLINK.MAVLink(None, srcSystem=1, srcComponent=1)
         self._link.robust_parsing = True
@@ -124,7 +128,8 @@ class SimulatedAutopilot:
         if step % _HZ == 0:
             yield MAVLINK.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
         if step % 10 == 0:
-            yield MAVLINK.MAVLink_system_time_message(round(utc_s * 1e6), boot_ms)
+            stated_s = UTC_S + time.monotonic() - self._began_s if self._has_computers_utc else utc_s
+            yield MAVLINK.MAVLink_system_time_message(round(stated_s * 1e6), boot_ms)
             latitude, longitude, height_m = ESTIMATED_DEG
             degrees = round(latitude * 1e7), round(longitude * 1e7)
             yield MAVLINK.MAVLink_global_position_int_message(boot_ms, *degrees, round(height_m * 1e3), 0, 0, 0, 0, 0)
@@ -152,7 +157,7 @@ class SimulatedAutopilot:
                 yield MAVLINK.MAVLink_simstate_message(0.1, 0.2, yaw_rad, *(0.0,) * 6, *degrees)
             case "HIL_STATE_QUATERNION":
                 place = (*degrees, round(height_m * 1e3))
-                yield MAVLINK.MAVLink_hil_state_quaternion_message(7_000_000, q, 0, 0, 0, *place, *(0,) * 8)
+                yield MAVLINK.MAVLink_hil_state_quaternion_message(0, q, 0, 0, 0, *place, *(0,) * 8)
 
     def _receive(self, here: socket.socket) -> None:
         while True:

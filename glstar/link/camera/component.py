@@ -27,6 +27,8 @@ CAMERA_ID = 100
 _HEARTBEAT_S = 1.0
 # A command that is repeated with a higher confirmation within this time is the same one, s.
 _REPEATED_S = 5.0
+# PX4 sends a trigger as IMAGE_START_CAPTURE and, at once, as DO_DIGICAM_CONTROL for older cameras: within this time, s.
+_SAME_TRIGGER_S = 0.1
 # Pictures that wait to be drawn, and those whose CAMERA_IMAGE_CAPTURED may be asked for again.
 _MOST_WAITING, _MOST_TAKEN = 10_000, 100_000
 # Longest URL of CAMERA_IMAGE_CAPTURED, bytes.
@@ -300,7 +302,10 @@ class CameraComponent:
         is_repeated = getattr(command, "confirmation", 0) > 0 and now.host_s - before_s < _REPEATED_S
         # An autopilot numbers its commands from 1 after every boot.
         this = (name, sequence, now.boot)
-        if this == before and (sequence or is_repeated):
+        is_older_form = name == "DO_DIGICAM_CONTROL" and before[:1] == ("IMAGE_START_CAPTURE",)
+        if (this == before and (sequence or is_repeated)) or (
+            is_older_form and now.host_s - before_s < _SAME_TRIGGER_S
+        ):
             return int(m.MAV_RESULT_ACCEPTED)
         if now.utc_s is None:
             self.messages.append(f"{name}: no picture, because UTC is not known yet")
