@@ -210,14 +210,14 @@ def test_the_sky_of_an_all_sky_image_is_that_inside_of_the_image_circle(mean_dn:
     detected = detect_stars(Photograph(Path("sky.png"), pixels, 8, "grey", None))
 
     if mean_dn > 5:
-        assert not detected.background.is_lit[distance > 1.1].any()
-        assert detected.background.is_lit[distance < 0.6].all()
+        assert not detected.background.is_sky[distance > 1.1].any()
+        assert detected.background.is_sky[distance < 0.6].all()
         assert detected.sky.std_dn == pytest.approx(1.2, rel=0.1)  # with the gradient inside of tiles
         assert detected.sky.mean_dn == pytest.approx(
-            pedestal_dn + sky_dn[detected.background.is_lit & (distance < 1)].mean(), rel=0.02
+            pedestal_dn + sky_dn[detected.background.is_sky & (distance < 1)].mean(), rel=0.02
         )
     else:  # a sky below its noise shows no circle
-        assert detected.background.is_lit.all()
+        assert detected.background.is_sky.all()
 
 
 # --- recovery of the sensor -------------------------------------------------------------------------------------------

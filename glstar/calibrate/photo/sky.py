@@ -82,7 +82,7 @@ def starless_pixels(image: Photograph, detected: DetectedStars, more_px: Float) 
     for (x, y), radius in zip(np.rint(all_px).astype(int).tolist(), all_radii.tolist(), strict=True):
         cv2.circle(hidden, (x, y), round(radius), 1, -1)
     is_dark = (hidden == 0) & (image.pixels_dn < 0.98 * image.saturation_dn)
-    return np.asarray(is_dark & detected.background.is_lit)
+    return np.asarray(is_dark & detected.background.is_sky)
 
 
 def measure_sky(image: Photograph, detected: DetectedStars, more_px: Float) -> SkyMap:
