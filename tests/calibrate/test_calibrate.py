@@ -202,7 +202,7 @@ def test_the_sky_of_an_all_sky_image_is_that_inside_of_the_image_circle(mean_dn:
     rng = np.random.default_rng(4)
     row, column = np.mgrid[:800, :1200]
     distance = np.hypot(column - 610, row - 395) / 380
-    # Darker towards its rim, as skies behind such lenses are.
+    # Darker towards its rim, as behind such lenses.
     sky_dn = np.where(distance < 1, mean_dn * (1 - 0.5 * distance**2), 0.0)
     noise = rng.normal(0.0, np.where(distance < 1, 1.2, 0.0))
     pixels = np.clip(np.rint(sky_dn + noise + pedestal_dn), 0, 255)
