@@ -197,6 +197,29 @@ def test_the_sky_level_is_measured_despite_clipping_at_zero(mean_dn: float) -> N
     assert sky.std_dn == pytest.approx(3.0, rel=0.02)
 
 
+@pytest.mark.parametrize(("mean_dn", "pedestal_dn"), [(30.0, 0.0), (30.0, 2.0), (8.0, 0.0), (0.4, 0.0), (0.4, 2.0)])
+def test_the_sky_of_an_all_sky_image_is_that_inside_of_the_image_circle(mean_dn: float, pedestal_dn: float) -> None:
+    rng = np.random.default_rng(4)
+    row, column = np.mgrid[:800, :1200]
+    distance = np.hypot(column - 610, row - 395) / 380
+    # Darker towards its rim, as behind such lenses.
+    sky_dn = np.where(distance < 1, mean_dn * (1 - 0.5 * distance**2), 0.0)
+    noise = rng.normal(0.0, np.where(distance < 1, 1.2, 0.0))
+    pixels = np.clip(np.rint(sky_dn + noise + pedestal_dn), 0, 255)
+
+    detected = detect_stars(Photograph(Path("sky.png"), pixels, 8, "grey", None))
+
+    if mean_dn > 5:
+        assert not detected.background.is_sky[distance > 1.1].any()
+        assert detected.background.is_sky[distance < 0.6].all()
+        assert detected.sky.std_dn == pytest.approx(1.2, rel=0.1)  # with the gradient inside of tiles
+        assert detected.sky.mean_dn == pytest.approx(
+            pedestal_dn + sky_dn[detected.background.is_sky & (distance < 1)].mean(), rel=0.02
+        )
+    else:  # a sky below its noise shows no circle
+        assert detected.background.is_sky.all()
+
+
 # --- recovery of the sensor -------------------------------------------------------------------------------------------
 
 

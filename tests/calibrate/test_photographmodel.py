@@ -14,8 +14,10 @@ from glstar.calibrate.photo.detection import detect_stars
 from glstar.calibrate.photo.sky import SkyMap, before_clipping
 from glstar.calibrate.sensor.brightness import fit_brightness_terms
 from glstar.calibrate.sensor.calibration import calibrate
-from glstar.calibrate.sensor.photographmodel import PhotographModel, measure_photograph
+from glstar.calibrate.sensor.photographmodel import PhotographModel, _vignetting, measure_photograph
 from glstar.calibrate.twin import compare_twin, neighbour_noise_dn, render_twin
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
 from glstar.camera.vignetting import Vignetting
 from glstar.config import Config
 from glstar.errors import CalibrationError
@@ -264,3 +266,19 @@ def test_clipped_stars_are_left_out_of_the_figures_of_a_twin():
     figures = compare_twin(of_clipped, pixels, pixels, pixels).figures
     assert plain.peak_error == figures.peak_error == plain.profile_error == figures.profile_error == 0
     assert figures.stars < plain.stars
+
+
+@pytest.mark.parametrize("loss_mag", [0.0, 1.0, 3.0])
+def test_the_vignetting_of_a_small_image_circle_is_right_where_stars_are(loss_mag: float) -> None:
+    """Of a fisheye whose circle ends at 0.47 of half the diagonal: farther out it maps nothing."""
+    lens = Lens("fisheye", (-0.0445, 0.00268, -0.00146, 0.0))
+    fisheye = Camera(5184, 3456, 1035.0, 1035.0, 2597.0, 1723.0, lens=lens)
+    keys = _vignetting(fisheye, loss_mag, 0.47)
+    sensor = Config().override(**keys).sensor()
+    half_px = np.hypot(5184, 3456) / 2
+    r = np.linspace(0.0, 0.47, 30)
+    xy_px = np.column_stack([2597.0 - half_px * r * 0.83, 1723.0 - half_px * r * 0.55])
+
+    fitted = Vignetting.of(sensor.effects).of_stars(fisheye, xy_px)
+
+    np.testing.assert_allclose(fitted, 10 ** (-0.4 * loss_mag * r**2), rtol=0.03)

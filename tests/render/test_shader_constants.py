@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2
+from glstar.camera.sensor.sensor import PIXEL_PART_VARIANCE_PX2, PIXEL_PLACES_PX, PIXEL_VARIANCE_PX2, PIXEL_WEIGHTS
 from glstar.render.motion import segmentation
-from glstar.render.opengl.passes import path as pathpass
 from glstar.sky.air import refraction
 from glstar.sky.air.refraction import LOWEST_ALTITUDE_RAD, refraction_displacement
 from glstar.system.resources import shader, shader_paths
@@ -72,8 +71,10 @@ def test_all_kinds_of_segments_have_numbers_of_their_own() -> None:
 def test_three_gaussians_a_side_have_the_moments_of_a_square_pixel() -> None:
     """Of the second, fourth and sixth order: 1/12, 1/80 and 1/448 px^n."""
     kernel = constants("pixel_kernel.glsl")
-    weight, own, a2 = kernel["WEIGHT"], pathpass._NARROW_VARIANCE_PX2, kernel["OFFSET_PX"] ** 2
+    weight, own, a2 = kernel["WEIGHT"], PIXEL_PART_VARIANCE_PX2, kernel["OFFSET_PX"] ** 2
 
+    assert (-kernel["OFFSET_PX"], 0.0, kernel["OFFSET_PX"]) == PIXEL_PLACES_PX
+    assert pytest.approx((weight, 1 - 2 * weight, weight), rel=1e-15) == PIXEL_WEIGHTS
     assert 2 * weight * a2 + own == pytest.approx(PIXEL_VARIANCE_PX2, rel=1e-6)
     assert 2 * weight * (a2**2 + 6 * a2 * own) + 3 * own**2 == pytest.approx(1 / 80, rel=1e-6)
     assert 2 * weight * (a2**3 + 15 * a2**2 * own + 45 * a2 * own**2) + 15 * own**3 == pytest.approx(1 / 448, rel=1e-6)

@@ -23,11 +23,17 @@ _CLIPPED_STD = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3
 _ROUNDING_DN2 = 1 / 12
 # From this fraction of pixels at 0 on, the background is clipped and a truncated Gaussian is fitted.
 _CLIPPED_FRACTION = 0.005
+_CLIPPED_SIGMA = 4.0
 # The fit divides the image into this many parts in x and in y, and uses each up to this quantile: brighter pixels
 # are stars.
 _PARTS = 4
 _STARLESS_QUANTILE = 0.97
 _MIN_PIXELS = 100
+# A tile outside the image circle of a lens is darker than this part of the sky, and by this many standard deviations of
+# its noise; the sky is the brightest fifth of the tiles.
+_BLACK = 0.1
+_BLACK_SIGMA = 5.0
+_USUAL_QUANTILE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +42,10 @@ class Background:
 
     level_dn: Float  # (height, width) DN
     noise_dn: Float  # (height, width) standard deviation of the noise, DN
+    # (height, width) whether a lens casts light there: outside its image circle an image is black; and whether that is
+    # so in the surroundings, too.
+    is_lit: Mask
+    is_sky: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +66,19 @@ def background_of(image_dn: Float) -> Background:
     The level is the clipped mean of tiles, median-filtered over neighbouring tiles and interpolated.
     """
     level, noise = tile_statistics(image_dn)
-    return Background(_spread(level, image_dn.shape), np.maximum(_spread(noise, image_dn.shape), 0.05))
+    is_lit = _lit_tiles(level, noise)
+    is_sky = cv2.erode(is_lit.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
+    side, (height, width) = _tile_px(image_dn.shape), image_dn.shape
+    lit, sky = (np.repeat(np.repeat(tiles, side, axis=0), side, axis=1)[:height, :width] for tiles in (is_lit, is_sky))
+    return Background(_spread(level, image_dn.shape), np.maximum(_spread(noise, image_dn.shape), 0.05), lit, sky)
+
+
+def _lit_tiles(level: Float, noise: Float) -> Mask:
+    """Return which tiles a lens casts light on: all but those that are black beside a sky far above its noise."""
+    usual = level >= np.quantile(level, _USUAL_QUANTILE)
+    usual_dn, usual_noise_dn = float(np.median(level[usual])), float(np.median(noise[usual]))
+    is_black = (level < _BLACK * usual_dn) & (usual_dn - level > _BLACK_SIGMA * usual_noise_dn)
+    return np.asarray(~is_black)
 
 
 def tile_statistics(image: Float) -> tuple[Float, Float]:
@@ -107,15 +129,18 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
     """
     if starless.sum() < _MIN_PIXELS:
         starless = np.ones_like(starless)
-    clipped_fraction = float((image_dn[starless] <= 0).mean())
-    unevenness = robust_std(background.level_dn, float(np.median(background.level_dn)))
+    # A sky far above its noise is not clipped: what is black there is the rim of an image circle.
+    noise_dn = float(np.median(background.noise_dn[background.is_sky]))
+    may_be_clipped = background.level_dn < _CLIPPED_SIGMA * noise_dn
+    clipped_fraction = float(((image_dn <= 0) & may_be_clipped)[starless].mean())
+    lit_dn = background.level_dn[background.is_sky]
+    unevenness = robust_std(lit_dn, float(np.median(lit_dn)))
     if clipped_fraction > _CLIPPED_FRACTION:
         mean, std = _clipped_gaussian(image_dn, starless)
         return SkyLevel(mean, std, unevenness, int(starless.sum()), clipped_fraction)
 
     above = (image_dn - background.level_dn)[starless]
-    std = float(np.median(background.noise_dn))
-    centre = 0.0
+    centre, std = 0.0, noise_dn
     for _ in range(_CLIPS):
         kept = above[np.abs(above - centre) <= _CLIP_SIGMA * std]
         centre, std = float(kept.mean()), float(kept.std()) / _CLIPPED_STD
@@ -290,7 +315,7 @@ def detect_stars(image: Photograph) -> DetectedStars:
     lengths_px = (
         drawn_out_px(above, usable, peaks[some], sigma_px) for some in (bright[np.isin(bright, good)], bright)
     )
-    starless = _starless(pixels.shape, peaks, fixed.peak_dn, noise_dn, sigma_px)
+    starless = _starless(pixels.shape, peaks, fixed.peak_dn, noise_dn, sigma_px) & background.is_sky
     return DetectedStars(
         xy_px=xy_px[order],
         peak_dn=peak_dn[order],
@@ -319,7 +344,7 @@ def _no_stars(pixels: Float, background: Background, usable: Mask, sigma_px: flo
         saturated=none.astype(np.bool_),
         psf_sigma_px=sigma_px,
         background=background,
-        sky=sky_level(pixels, background, np.ones_like(usable)),
+        sky=sky_level(pixels, background, background.is_sky),
         drawn_out_px=0.0,
         saturated_fraction=float(1 - usable.mean()),
         hot_pixels=0,
@@ -365,7 +390,8 @@ def _peaks(above: Float, background: Background, usable: Mask, sigma_px: float) 
     significance = smooth / max(float(np.median(noise)), 1e-6)
     radius = max(1, round(1.5 * sigma_px))
     highest = cv2.dilate(significance, np.ones((2 * radius + 1, 2 * radius + 1), dtype=np.uint8))
-    rows, columns = np.nonzero((significance == highest) & (significance > _DETECTION.peak_snr))
+    is_peak = (significance == highest) & (significance > _DETECTION.peak_snr)
+    rows, columns = np.nonzero(is_peak & background.is_lit)  # elsewhere only hot pixels
     xy = np.column_stack([columns, rows]).astype(np.float64)
     xy = xy[np.argsort(-significance[rows, columns])]
     return _one_each(xy[_most_peaks(xy, max(significance.shape))], ~usable)

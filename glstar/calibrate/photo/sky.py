@@ -68,7 +68,7 @@ class NoiseAgainstLevel:
 
 
 def starless_pixels(image: Photograph, detected: DetectedStars, more_px: Float) -> Mask:
-    """Return the pixels away from all stars.
+    """Return the pixels of the sky away from all stars.
 
     `more_px` (n, 2): positions of other stars, such as those of the catalogue, px.  Returns (height, width) bool.
     """
@@ -81,7 +81,8 @@ def starless_pixels(image: Photograph, detected: DetectedStars, more_px: Float) 
     all_radii = np.concatenate([radii, np.full(len(more_px), _STAR_PX + _STAR_SIGMA * sigma_px)])
     for (x, y), radius in zip(np.rint(all_px).astype(int).tolist(), all_radii.tolist(), strict=True):
         cv2.circle(hidden, (x, y), round(radius), 1, -1)
-    return np.asarray((hidden == 0) & (image.pixels_dn < 0.98 * image.saturation_dn))
+    is_dark = (hidden == 0) & (image.pixels_dn < 0.98 * image.saturation_dn)
+    return np.asarray(is_dark & detected.background.is_sky)
 
 
 def measure_sky(image: Photograph, detected: DetectedStars, more_px: Float) -> SkyMap:

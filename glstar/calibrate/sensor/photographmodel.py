@@ -366,7 +366,8 @@ def _sensor(
     else:
         refused.append("the stars do not show a colour term: brightness follows V")
     if terms.loss_mag is not None:
-        effects |= _vignetting(calibration.matches.solution.camera, terms.loss_mag.value)
+        farthest = float(np.linalg.norm(_offset(calibration, calibration.stars.xy_px), axis=1).max())
+        effects |= _vignetting(calibration.matches.solution.camera, terms.loss_mag.value, farthest)
         errors["vignetting_r2"] = 0.92 * terms.loss_mag.standard_error
     else:
         refused.append("the stars do not show vignetting")
@@ -429,8 +430,16 @@ def _electrons(
     )
 
 
-def _vignetting(camera: Camera, loss_mag: float) -> dict[str, EffectValue]:
-    """Return the keys of ``[lens]`` with which stars lose this at half the diagonal."""
+# Weight of the vignetting where no star is.
+_BEYOND_STARS = 0.05
+
+
+def _vignetting(camera: Camera, loss_mag: float, farthest: float) -> dict[str, EffectValue]:
+    """Return the keys of ``[lens]`` with which stars lose this at half the diagonal.
+
+    `farthest`: the largest distance of a star from the principal point, over half the diagonal; farther out, where a
+    lens that sees the whole sky has nothing, the polynomial is only roughly right.
+    """
     r = np.linspace(0, 1, 41)
     half_px = np.hypot(camera.width_px, camera.height_px) / 2
     # Along the half diagonal that stays on the image.
@@ -441,7 +450,8 @@ def _vignetting(camera: Camera, loss_mag: float) -> dict[str, EffectValue]:
     sky = 10 ** (-0.4 * loss_mag * r**2) * relative_solid_angle(camera, xy_px)
     seen = np.isfinite(sky) & (sky > 0)
     powers = np.column_stack([r[seen] ** 2, r[seen] ** 4, r[seen] ** 6])
-    v2, v4, v6 = np.linalg.lstsq(powers, sky[seen] - 1, rcond=None)[0].tolist()
+    weight = np.where(r[seen] <= farthest, 1.0, _BEYOND_STARS)
+    v2, v4, v6 = np.linalg.lstsq(powers * weight[:, np.newaxis], (sky[seen] - 1) * weight, rcond=None)[0].tolist()
     return {
         "lens.vignetting": "polynomial",
         "lens.vignetting_r2": round(v2, 5),

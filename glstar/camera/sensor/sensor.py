@@ -178,6 +178,11 @@ PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma, a Gaussian widened by the pixel's variance replaces the integral over it: at most 0.09 % of the
 # flux is in another pixel (0.45 % at 0.7 px, 0.12 % at 1 px).
 MIN_WIDENED_SIGMA_PX = 1.1
+# Below it, three Gaussians along each side of a pixel have its moments up to the sixth order: their places, their
+# weights, and the variance that each adds to that of the point spread function (pixel_kernel.glsl).
+PIXEL_PLACES_PX = (-0.3458319986644865, 0.0, 0.3458319986644865)
+PIXEL_WEIGHTS = (0.31890297, 0.36219406, 0.31890297)
+PIXEL_PART_VARIANCE_PX2 = 0.00705189
 
 
 # Keys of ``[sensor]`` of the paper's noise model only.

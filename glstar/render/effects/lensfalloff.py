@@ -17,8 +17,9 @@ _DEFAULT = Vignetting()
 _TEXELS = (129, 97)
 # Relative change of the light by second derivatives that are left out.
 _TOLERANCE = 5e-6
-_COEFFICIENT = "a number from -10 to 10"
+_COEFFICIENT = "a number from -1000 to 1000"
 
+# Behind a lens whose image circle is much smaller than the image, the coefficients are large.
 _KEYS = (
     Key(
         "vignetting",
@@ -28,7 +29,7 @@ _KEYS = (
         choices=VIGNETTINGS,
     ),
     *(
-        Key(name, 0.0, _COEFFICIENT, minimum=-10.0, maximum=10.0)
+        Key(name, 0.0, _COEFFICIENT, minimum=-1000.0, maximum=1000.0)
         for name in ("vignetting_r2", "vignetting_r4", "vignetting_r6")
     ),
     Key("vignetting_file", "", "the path of a flat field: PNG, TIFF, FITS or NPY"),

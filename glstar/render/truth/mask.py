@@ -1,7 +1,8 @@
 """Trail masks: which star of a frame's truth each pixel shows."""
 
 from collections.abc import Iterator
-from math import ceil, log, pi, sqrt
+from dataclasses import dataclass
+from math import ceil, hypot, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from glstar.render.effects.naturalsky import natural_sky_dn
 from glstar.render.readout.rows import recorded_samples
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import colours_used, psf_scale
+from glstar.render.truth.linechains import normal_from_middle
 from glstar.render.truth.statistics import TrailStatistics
 
 # The largest value of a 16-bit mask.
@@ -46,8 +48,8 @@ def trail_mask(scene: Scene) -> NDArray[np.uint16]:
     It is k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most noiseless signal of all stars,
     and at least `mask_threshold_dn`, and 0 elsewhere. The entries of ``bodies`` are numbered after the stars, and the
     entries of ``satellites`` after the bodies; only the first 65535 entries are in the mask. The signal is the sum of
-    the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma or closer: within 0.1 % of
-    the integral along it.
+    the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma or closer, each integrated
+    over the pixels: within 0.1 % of the integral along the path.
     """
     shape = scene.camera.height_px, scene.camera.width_px
     mask, strongest_dn = np.zeros(shape, np.uint16), np.full(shape, mask_threshold_dn(scene), np.float32)
@@ -92,6 +94,33 @@ def _flux_dn(scene: Scene) -> Float:
     return np.asarray(scene.sensor.flux_dn(scene.sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s)))
 
 
+@dataclass(frozen=True, slots=True)
+class _Gaussian:
+    """One of the Gaussians of a star."""
+
+    flux_fraction: float
+    sigma_px: float
+    recorded_sigma_px: float  # With the width of a pixel
+    offset_px: tuple[float, float]
+    is_narrow: bool  # Whether its integral over a pixel differs from a Gaussian of this width
+
+    def reach_px(self, flux_dn: float, faintest_dn: float) -> int:
+        """Return how far from its middle it may exceed a level in a star of some flux, px; 0 if nowhere."""
+        ratio = self.flux_fraction * flux_dn / (2 * pi * self.recorded_sigma_px**2 * faintest_dn)
+        if ratio <= 1:
+            return 0
+        return ceil(self.recorded_sigma_px * min(sqrt(2 * log(ratio)), _MAX_RADIUS_SIGMA)) + 1
+
+    def in_pixels(self, offset_px: Float) -> Float:
+        """Return its fraction in pixels at some offsets from its middle along one axis."""
+        if self.is_narrow:
+            ends = (np.stack([offset_px + 0.5, offset_px - 0.5]) / self.sigma_px).astype(np.float32)
+            after, before = normal_from_middle(ends)
+            return np.asarray(after - before, np.float64)
+        sigma_px = self.recorded_sigma_px
+        return np.exp(-0.5 * (offset_px / sigma_px) ** 2) / (sqrt(2 * pi) * sigma_px)
+
+
 class _Patch:
     """The signal of one trail in a rectangle of the image."""
 
@@ -109,19 +138,18 @@ class _Patch:
         """DN, (rows, columns)."""
         return self._signal.reshape(self._size).astype(np.float32)
 
-    def add(self, xy_px: Float, flux_dn: Float, sigma_px: float, radius_px: int) -> None:
-        """Add Gaussians at n positions (x, y) with fluxes (n,); what lies outside the rectangle is lost."""
+    def add(self, xy_px: Float, flux_dn: Float, gaussian: _Gaussian, reach_px: int) -> None:
+        """Add one Gaussian of a star at n positions (x, y) with fluxes (n,); what is outside the rectangle is lost."""
         rows, columns = self._size
-        offset = np.arange(-radius_px, radius_px + 1)
+        offset = np.arange(-reach_px, reach_px + 1)
+        xy_px, flux_dn = xy_px + gaussian.offset_px, flux_dn * gaussian.flux_fraction
         for first in range(0, len(xy_px), _SAMPLES_PER_BLOCK):
             xy, flux = xy_px[first : first + _SAMPLES_PER_BLOCK], flux_dn[first : first + _SAMPLES_PER_BLOCK]
             column, row = (np.rint(xy[:, axis]).astype(np.intp)[:, np.newaxis] + offset for axis in (0, 1))
-            across, down = (
-                np.exp(-0.5 * ((at - xy[:, axis : axis + 1]) / sigma_px) ** 2) for axis, at in enumerate((column, row))
-            )
+            across, down = (gaussian.in_pixels(at - xy[:, axis : axis + 1]) for axis, at in enumerate((column, row)))
             column, row = column - self._low[1], row - self._low[0]
             across = np.where((column >= 0) & (column < columns), across, 0.0)
-            down = np.where((row >= 0) & (row < rows), down, 0.0) * (flux / (2 * pi * sigma_px**2))[:, np.newaxis]
+            down = np.where((row >= 0) & (row < rows), down, 0.0) * flux[:, np.newaxis]
             at = row.clip(0, rows - 1)[:, :, np.newaxis] * columns + column.clip(0, columns - 1)[:, np.newaxis]
             light = down[:, :, np.newaxis] * across[:, np.newaxis]
             self._signal += np.bincount(at.ravel(), light.ravel(), len(self._signal))
@@ -145,33 +173,28 @@ def _signals(scene: Scene, stars: NDArray[np.intp], flux_dn: Float, faintest_dn:
             flux, gaussians = float(flux_dn[begin + k]), profiles[float(scales[begin + k])]
             # Several Gaussians may exceed the level together.
             least_dn = faintest_dn if len(gaussians) == 1 else _SMALL_PART * faintest_dn
-            reach = [_reach_px(fraction * flux, sigma, least_dn) for fraction, sigma, _ in gaussians]
-            farthest_px = max(reach)
-            if farthest_px == 0:
+            reaches = [(one, reach_px) for one in gaussians if (reach_px := one.reach_px(flux, least_dn))]
+            if not reaches:
                 continue
+            farthest_px = max(reach_px + ceil(hypot(*one.offset_px)) for one, reach_px in reaches)
             near = (weight[:, k] > 0) & camera.contains(xy_px[:, k], farthest_px)
             if not near.any():
                 continue
-            xy, part = xy_px[near, k], weight[near, k]
+            xy, star_dn = xy_px[near, k], flux * weight[near, k]
             patch = _patch_around(xy, farthest_px, (camera.height_px, camera.width_px))
-            for (fraction, sigma_px, offset_px), radius_px in zip(gaussians, reach, strict=True):
-                if radius_px:
-                    patch.add(xy + offset_px, fraction * flux * part, sigma_px, radius_px)
+            for gaussian, reach_px in reaches:
+                patch.add(xy, star_dn, gaussian, reach_px)
             yield begin + k, patch
 
 
-def _gaussians(sensor: Sensor, scale: float) -> list[tuple[float, float, Float]]:
-    """Return the Gaussians of a star: fraction of the flux, sigma in px, offset (x, y) in px."""
-    return [
-        (one.flux_fraction, sensor.of_component(one).effective_sigma_px, np.array(one.offset_px))
-        for one in sensor.point_spread.components(sensor.psf_sigma_px, scale=scale)
-    ]
-
-
-def _reach_px(flux_dn: float, sigma_px: float, faintest_dn: float) -> int:
-    """Return how far from a path a Gaussian may exceed a level, px; 0 if nowhere."""
-    ratio = flux_dn / (2 * pi * sigma_px**2 * faintest_dn)
-    return 0 if ratio <= 1 else ceil(sigma_px * min(sqrt(2 * log(ratio)), _MAX_RADIUS_SIGMA)) + 1
+def _gaussians(sensor: Sensor, scale: float) -> list[_Gaussian]:
+    """Return the Gaussians of stars whose core is wider than on the axis by a factor."""
+    gaussians = []
+    for one in sensor.point_spread.components(sensor.psf_sigma_px, scale=scale):
+        alone = sensor.of_component(one)
+        recorded_px = alone.effective_sigma_px
+        gaussians.append(_Gaussian(one.flux_fraction, one.sigma_px, recorded_px, one.offset_px, alone.needs_erf))
+    return gaussians
 
 
 def _patch_around(xy_px: Float, radius_px: int, shape: tuple[int, int]) -> _Patch:

@@ -7,7 +7,7 @@ that receive most, the signal is computed exactly.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, pi, sqrt
+from math import ceil, exp, pi, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from glstar.arrays import Float, Float32
 from glstar.camera.model import Camera
-from glstar.camera.sensor.sensor import Sensor, noise_equivalent_area_px2
+from glstar.camera.sensor.pointspread import PsfComponent
+from glstar.camera.sensor.sensor import (
+    PIXEL_PART_VARIANCE_PX2,
+    PIXEL_PLACES_PX,
+    PIXEL_WEIGHTS,
+    Sensor,
+    noise_equivalent_area_px2,
+)
 from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import psf_scale
@@ -264,10 +271,10 @@ def trail_peaks(
     of the stars: the peak is that of the dimmed trail, over the flux above the cloud; `nodes_px` (2, n, m): their
     `ConicPaths.nodes_px`, if these are known; `recorded`: when a rolling shutter records them: fractions are of the
     flux that it records; `bv` (m,) or float: their colours B - V.  The path is a chain of lines, whose light is a
-    Gaussian across and a difference of error functions along, for each Gaussian of a star's profile.  It is evaluated
-    at the points that `brightest_points` finds.  A Gaussian at rest has the area 4 pi sigma^2, and a long trail of
-    length L the area 2 sqrt(pi) sigma L.  Areas of other profiles are larger by a factor for stars at rest and another
-    for long trails, between which it is interpolated.
+    Gaussian across and a difference of error functions along, for each Gaussian of a star's profile as pixels record
+    it.  It is evaluated at the points that `brightest_points` finds.  A Gaussian at rest has the area 4 pi sigma^2,
+    and a long trail of length L the area 2 sqrt(pi) sigma L.  Areas of other profiles are larger by a factor for
+    stars at rest and another for long trails, between which it is interpolated.
     """
     if not len(direction_eq):
         return TrailPeaks(np.zeros(0), np.zeros(0))
@@ -419,19 +426,29 @@ def _largest_signal(
     return largest
 
 
+# Pixels integrate Gaussians narrower than this, px: a wider one differs from one widened by their variance by 0.3 %.
+_NARROW_PX = 0.9
+
+
 def _profiles(sensor: Sensor, scales: Float) -> Iterator[tuple[Stars, list[tuple[float, float, Float]]]]:
     """Yield the stars with each profile, and its Gaussians: fraction of the flux, sigma in px, offset (x, y) in px."""
-    if sensor.point_spread.is_gaussian:
-        yield slice(None), [(1.0, sensor.effective_sigma_px, np.zeros(2))]
-        return
     for scale in np.unique(scales).tolist():
-        yield (
-            np.flatnonzero(scales == scale),
-            [
-                (one.flux_fraction, sensor.of_component(one).effective_sigma_px, np.array(one.offset_px))
-                for one in sensor.point_spread.components(sensor.psf_sigma_px, scale=scale)
-            ],
-        )
+        components = sensor.point_spread.components(sensor.psf_sigma_px, scale=scale)
+        stars = slice(None) if sensor.point_spread.is_gaussian else np.flatnonzero(scales == scale)
+        yield stars, [part for one in components for part in _recorded(sensor, one)]
+
+
+def _recorded(sensor: Sensor, component: PsfComponent) -> list[tuple[float, float, Float]]:
+    """Return a Gaussian of a star as pixels record it: fractions of the flux, sigma in px, offsets (x, y) in px."""
+    alone, offset_px = sensor.of_component(component), np.array(component.offset_px)
+    if not alone.needs_erf or component.sigma_px > _NARROW_PX:
+        return [(component.flux_fraction, alone.effective_sigma_px, offset_px)]
+    sigma_px = sqrt(component.sigma_px**2 + PIXEL_PART_VARIANCE_PX2)
+    return [
+        (component.flux_fraction * across * down, sigma_px, offset_px + np.array([x_px, y_px]))
+        for x_px, across in zip(PIXEL_PLACES_PX, PIXEL_WEIGHTS, strict=True)
+        for y_px, down in zip(PIXEL_PLACES_PX, PIXEL_WEIGHTS, strict=True)
+    ]
 
 
 def _area_over_core(sensor: Sensor, scales: Float, peak: Float) -> Float | float:
@@ -446,7 +463,11 @@ def _area_over_core(sensor: Sensor, scales: Float, peak: Float) -> Float | float
     at_rest = noise_equivalent_area_px2(sensor) / (4 * np.pi * core_px2)
     overlap = sum(f * g / sqrt(2 * np.pi * (s + t)) for f, s in parts for g, t in parts)
     along_line = 1 / (sqrt(4 * np.pi * core_px2) * overlap)
-    rest_per_px2 = sum(fraction / (2 * np.pi * variance) for fraction, variance in parts)
+    rest_per_px2 = sum(
+        fraction * exp(-0.5 * (off_px @ off_px) / sigma_px**2) / (2 * pi * sigma_px**2)
+        for one in sensor.point_spread.circular(sensor.psf_sigma_px)
+        for fraction, sigma_px, off_px in _recorded(sensor, one)
+    )
     concentration = np.minimum(peak * scales**2 / rest_per_px2, 1.0)
     return np.asarray((along_line + (at_rest - along_line) * concentration) * scales ** (1 + concentration))
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float32
-from glstar.camera.sensor.sensor import Sensor
+from glstar.camera.sensor.sensor import PIXEL_PART_VARIANCE_PX2, Sensor
 from glstar.render.motion.segmentation import SHAPE_LIMITS
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.opengl import textures
@@ -74,8 +74,6 @@ _OUTPUTS = 6
 _UNITS = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
 # Segments are surely SHORT if their longest is at most this fraction of the limit: stars beside the image are faster.
 _SURELY_SHORT = 0.5
-# Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
-_NARROW_VARIANCE_PX2 = 0.00705189
 
 
 class SegmentKinds(NamedTuple):
@@ -95,7 +93,7 @@ def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
 def drawn_sigma_px(sensor: Sensor) -> float:
     """Return the width of the Gaussians that are drawn, px: with that of a pixel, or of the parts of a narrow one."""
     if sensor.needs_erf:
-        return float(np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2))
+        return float(np.sqrt(sensor.psf_sigma_px**2 + PIXEL_PART_VARIANCE_PX2))
     return sensor.effective_sigma_px
 
 
