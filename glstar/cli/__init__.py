@@ -3,6 +3,7 @@
 The modules of the commands are imported when they are needed: one for a command, none for ``glstar --help``.
 """
 
+import gc
 import os
 import sys
 from collections.abc import Iterable
@@ -136,4 +137,6 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with exit_on_interrupt():
         program = _program(sys.argv[1:])
+    gc.freeze()
+    gc.enable()
     program()
