@@ -38,8 +38,6 @@ _TRUTH = "truth.jsonl"
 _MANIFEST = "manifest.json"
 _J2000_UTC_S = 946728000.0
 _JULIAN_YEAR_S = 365.25 * 86400.0
-# An answer may state the UTC of any instant of its exposure, by a clock that is off by no more than this, s.
-_CLOCK_TOLERANCE_S = 1.0
 # A rotation needs this many stars.
 _LEAST_STARS = 3
 
@@ -92,10 +90,7 @@ class FrameTruth:
         """Return how the file or the time of an answer contradicts this frame; None if neither does."""
         if answer.file is not None and answer.file != self.file:
             return f"frame {self.frame} is {self.file}, not {answer.file}"
-        late_s = 0.0 if answer.utc_s is None else answer.utc_s - self.camera_utc_mid_s
-        if abs(late_s) > self.total_s / 2 + _CLOCK_TOLERANCE_S:
-            return f"its utc is {late_s:+.1f} s from the middle of frame {self.frame} by the camera's clock"
-        return None
+        return answer.clock_objection(self.frame, self.camera_utc_mid_s, self.total_s)
 
     def distance_from_trail(self, star: int, xy_px: Float) -> float:
         """Return the distance of a point, (2,) px, from the line through start, middle and end of a trail, px."""

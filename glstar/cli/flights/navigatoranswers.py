@@ -141,11 +141,17 @@ def _complete_lines(file: IO[bytes], has_more: Callable[[], bool] | None = None)
         yield line.decode("utf-8", errors="replace")
 
 
+def _camera_clock_offset_s(config: Config) -> float:
+    """Return the clock that stamps the frames for a navigator minus UTC, s."""
+    return config.flight.time_offset_s + config.navigator.clock_offset_s
+
+
 class InjectedAnswers(IncomingAnswers):
     """Answers that are sent to the autopilot.
 
     `source`: as for `IncomingAnswers`; `exposures`: exposures of the frames that were drawn, by number and by file
-    name; `report`: called with a message for each answer that cannot be sent.
+    name; `config`: its clocks relate the camera's UTC to the link's; `report`: called with a message for each answer
+    that cannot be sent.
     """
 
     def __init__(
@@ -153,12 +159,14 @@ class InjectedAnswers(IncomingAnswers):
         source: str | Path,
         injector: Injector,
         exposures: Mapping[int | str, Exposure],
+        config: Config,
         report: Callable[[str], None],
         on_failure: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(source, report, on_failure)
         self._injector = injector
         self._exposures = exposures
+        self._clock_offset_s = _camera_clock_offset_s(config)
         self._first = FirstAnswers()
 
     def take(self, answer: Answer) -> None:
@@ -178,10 +186,11 @@ class InjectedAnswers(IncomingAnswers):
             raise AnswersError(
                 self._source, f"line {answer.line} answers frame {answer.of}, which was not drawn; not sent"
             )
+        contradiction = answer.clock_objection(answer.of, exposure.mid_utc_s + self._clock_offset_s, exposure.span_s)
         if answer.file is not None and self._exposures.get(answer.file) != exposure:
-            raise AnswersError(
-                self._source, f"line {answer.line} contradicts itself: frame {answer.frame} is not {answer.file}"
-            )
+            contradiction = f"frame {answer.frame} is not {answer.file}"
+        if contradiction is not None:
+            raise AnswersError(self._source, f"line {answer.line} contradicts itself: {contradiction}; not sent")
         objection = self._first.objection(answer, exposure.start_utc_s)
         if objection is not None:
             raise AnswersError(self._source, f"{objection}; not sent")
@@ -239,7 +248,7 @@ class ShownAnswers(IncomingAnswers):
         self, source: str | Path, config: Config, show: "Callable[[PlacedAnswer], None]", report: Callable[[str], None]
     ) -> None:
         super().__init__(source, report)
-        self._clock_offset_s = config.flight.time_offset_s + config.navigator.clock_offset_s
+        self._clock_offset_s = _camera_clock_offset_s(config)
         self._show = show
 
     def take(self, answer: Answer) -> None:
