@@ -129,6 +129,12 @@ class Answer:
         """The number of its frame, or else the file; None if it states its time only."""
         return self.file if self.frame is None else self.frame
 
+    def contradiction(self, frame: int, file: str, mid_s: float, total_s: float) -> str | None:
+        """Return how its file or its UTC by the camera's clock contradicts a frame; None if neither does."""
+        if self.file is not None and self.file != file:
+            return f"frame {frame} is {file}, not {self.file}"
+        return self.clock_objection(frame, mid_s, total_s)
+
     def clock_objection(self, frame: int | str, mid_s: float, total_s: float) -> str | None:
         """Return how its UTC contradicts a frame of these times by the camera's clock, s; None if it does not."""
         late_s = 0.0 if self.utc_s is None else self.utc_s - mid_s

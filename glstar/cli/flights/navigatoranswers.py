@@ -15,6 +15,7 @@ from glstar.errors import AnswersError, ExportError
 from glstar.export.publish.stream import STREAM, AnswerReceiver
 from glstar.link import Injector, PositionFix
 from glstar.score.answers import MOST_CHARACTERS, Answer, FirstAnswers, parse_answer, read_answers
+from glstar.score.frames import camera_utc_mid_s, clock_offset_s
 from glstar.sky.place.timescale import format_utc, parse_utc
 
 if TYPE_CHECKING:
@@ -211,22 +212,26 @@ def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
 
     if not (export / "truth.jsonl").is_file() and (export / NAV).is_file():
         raise ExportError(export, "is for a navigator and has no truth.jsonl; name the directory of --blind")
-    # The number of each frame, and its times: by number and by file.
-    frames: dict[int | str | None, tuple[int, dict[str, float]]] = {}
+    # By number and by file: number, file, middle by the camera's clock and length of each frame, and its instants.
+    frames: dict[int | str | None, tuple[tuple[int, str, float, float], dict[str, float]]] = {}
+    offset_s = clock_offset_s(export)
     for line in read_truth(export):
         start_s, middle_s = parse_utc(line["utc_start"]), parse_utc(line["utc_mid"])
         instants_s = {"start": start_s, "middle": middle_s, "end": 2 * middle_s - start_s}
-        frames[line["frame"]] = frames[line["file"]] = line["frame"], instants_s
+        stamp = line["frame"], line["file"], camera_utc_mid_s(line, offset_s), 2 * (middle_s - start_s)
+        frames[line["frame"]] = frames[line["file"]] = stamp, instants_s
     given, first = read_answers(answers), FirstAnswers()
     faults, counted = list(given.faults), dict[int, Answer]()
     for answer in given.answers:
         if answer.of not in frames:
             raise AnswersError(answers, f"line {answer.line} answers frame {answer.of}, which {export} does not have")
-        number, _ = frames[answer.of]
-        if objection := first.objection(answer, number):
+        stamp, _ = frames[answer.of]
+        if contradiction := answer.contradiction(*stamp):
+            faults.append(f"line {answer.line} contradicts itself: {contradiction}")
+        elif objection := first.objection(answer, stamp[0]):
             faults.append(objection)
         else:
-            counted[number] = answer
+            counted[stamp[0]] = answer
     for fault in faults:
         echo_note(f"{answers}: {fault}; not shown")
     placed = [
