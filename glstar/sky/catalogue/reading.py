@@ -116,7 +116,7 @@ _TYPES: Mapping[str, frozenset[type]] = {
     "radial_velocity_m_per_s": _NUMBER | {type(None)},
 }
 # Largest sizes of a column's values; larger ones are no stars, and overflow.
-_LARGEST: Mapping[str, float] = {
+LARGEST: Mapping[str, float] = {
     "number": 2**31 - 1,
     "ra_rad": 2 * np.pi,
     "dec_rad": np.pi / 2,
@@ -435,9 +435,9 @@ def _rows(found: Iterable[tuple[object, ...]]) -> list[CatalogueRow]:
     for name, values in zip(CatalogueRow._fields, zip(*rows, strict=True), strict=bool(rows)):
         if not set(map(type, values)) <= _TYPES.get(name, _NUMBER):
             raise sqlite3.DataError(f"a star has a {name} of another type")
-        sizes = [0, *filter(None, values)] if name in _LARGEST else [0]
-        if max(sizes) > _LARGEST.get(name, 0) or -min(sizes) > _LARGEST.get(name, 0):
-            raise sqlite3.DataError(f"a star has a {name} of more than {_LARGEST[name]:g}")
+        sizes = [0, *filter(None, values)] if name in LARGEST else [0]
+        if max(sizes) > LARGEST.get(name, 0) or -min(sizes) > LARGEST.get(name, 0):
+            raise sqlite3.DataError(f"a star has a {name} of more than {LARGEST[name]:g}")
     return rows
 
 
