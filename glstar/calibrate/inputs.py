@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,7 @@ class ImageReference:
     # Refraction of the config's air over that of standard air, for a zenith that only the photograph shows.
     refraction_scale: float = 0.0
     # Whether time and place are those of EXIF only, and may be wrong.
-    is_by_exif: bool = False
+    is_by_exif: bool = field(kw_only=True)
 
     def without_place(self) -> "ImageReference":
         """Return the same stars of the whole sphere, for a photograph whose EXIF is wrong."""
@@ -62,9 +62,8 @@ class ImageReference:
             self.stars, zenith_eq=np.zeros(3), velocity_eq=np.zeros(3), refraction_scale=0.0, C_ned_eq=None
         )
         text = "the stars are not those over the time and place of its EXIF, which are not used: is its clock right?"
-        return ImageReference(
-            nowhere, None, self.catalogue, (Note(NoteKind.CAMERA, text),), self.stars.refraction_scale
-        )
+        notes = (Note(NoteKind.CAMERA, text),)
+        return ImageReference(nowhere, None, self.catalogue, notes, self.stars.refraction_scale, is_by_exif=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,7 +276,7 @@ def _references(
         elif utc_s is None or site is None:
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
             scale = sky.refraction_scale(replace(Site(0.0, 0.0), **air))
-            references.append(ImageReference(stars, None, catalogue, notes, refraction_scale=scale))
+            references.append(ImageReference(stars, None, catalogue, notes, scale, is_by_exif=False))
             without_inputs = references[-1] if utc_s is None else None
         else:
             stars = ReferenceStars.over(sky, utc_s, replace(site, **air))

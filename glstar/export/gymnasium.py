@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.flight import Pose
@@ -19,6 +20,8 @@ from glstar.sky.place.timescale import parse_utc
 _LONGEST_INTERVALS = 10.0
 # Seeds of episodes that Gymnasium's generator draws.
 _SEEDS = 2**31
+# The end of the year 9999, in which dates of ISO 8601 end, UTC seconds since 1970.
+_LATEST_UTC_S = 253402300800.0
 
 ObservationDict = dict[str, Any]
 
@@ -70,13 +73,15 @@ class FlightEnv(gymnasium.Env[ObservationDict, Any]):
         self._observed: Any = None
         camera = config.camera()
         full_scale_dn = config.exposure.starting_at(0.0).full_scale_dn(config.sensor().saturation_dn)
+        # A mean rate over an exposure is that of its shortest turn, of half a revolution at most.
+        largest_rate = (1 + 1e-9) * np.pi / _shortest(config).span_s
         pixel_type = np.uint8 if full_scale_dn <= np.iinfo(np.uint8).max else np.uint16
         pixels = spaces.Box(0, np.iinfo(pixel_type).max, (camera.height_px, camera.width_px), pixel_type)
         nav: dict[str, spaces.Space[Any]] = {
-            "utc_s": spaces.Box(0.0, np.inf, (3,), np.float64),
+            "utc_s": spaces.Box(0.0, _LATEST_UTC_S, (3,), np.float64),
             "q_body_ned": _unit(3, 4),
             "up_camera": _unit(3, 3),
-            "rates_rad_per_s": spaces.Box(-np.inf, np.inf, (3,), np.float64),
+            "rates_rad_per_s": spaces.Box(-largest_rate, largest_rate, (3,), np.float64),
         }
         if config.navigator.gps == "known":
             nav["position"] = _places()
@@ -147,6 +152,13 @@ class FlightEnv(gymnasium.Env[ObservationDict, Any]):
         if record["position"] is not None:
             nav["position"] = np.array(list(record["position"].values()))
         return {"pixels": observed.frame.pixels, "nav": nav}, {"truth": observed.truth}
+
+
+def _shortest(config: Config) -> Exposure:
+    """Return the shortest exposure that a config allows."""
+    exposure = config.exposure.starting_at(0.0)
+    is_fixed = config.exposure.control == "none"
+    return exposure if is_fixed else exposure.shortened(min(config.exposure.control_min_s, exposure.duration_s))
 
 
 def _unit(*shape: int) -> spaces.Box:

@@ -62,6 +62,8 @@ _LARGEST = 2**63 - 1
 _LARGEST_NUMBER = 1e12
 # Largest semi-axis of an error ellipse, km: the Earth's circumference; and the least probability of one.
 _LARGEST_AXIS_KM, _LEAST_CONFIDENCE = 40_000.0, 1e-4
+# An answer may state the UTC of any instant of its exposure, by a clock that is off by no more than this, s.
+_CLOCK_TOLERANCE_S = 1.0
 # Longitudes beyond two turns are those of other units, deg.
 _LARGEST_LONGITUDE_DEG = 720.0
 
@@ -126,6 +128,19 @@ class Answer:
     def of(self) -> int | str | None:
         """The number of its frame, or else the file; None if it states its time only."""
         return self.file if self.frame is None else self.frame
+
+    def contradiction(self, frame: int, file: str, mid_s: float, total_s: float) -> str | None:
+        """Return how its file or its UTC by the camera's clock contradicts a frame; None if neither does."""
+        if self.file is not None and self.file != file:
+            return f"frame {frame} is {file}, not {self.file}"
+        return self.clock_objection(frame, mid_s, total_s)
+
+    def clock_objection(self, frame: int | str, mid_s: float, total_s: float) -> str | None:
+        """Return how its UTC contradicts a frame of these times by the camera's clock, s; None if it does not."""
+        late_s = 0.0 if self.utc_s is None else self.utc_s - mid_s
+        if abs(late_s) <= total_s / 2 + _CLOCK_TOLERANCE_S:
+            return None
+        return f"its utc is {late_s:+.1f} s from the middle of frame {frame} by the camera's clock"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,8 +38,6 @@ _TRUTH = "truth.jsonl"
 _MANIFEST = "manifest.json"
 _J2000_UTC_S = 946728000.0
 _JULIAN_YEAR_S = 365.25 * 86400.0
-# An answer may state the UTC of any instant of its exposure, by a clock that is off by no more than this, s.
-_CLOCK_TOLERANCE_S = 1.0
 # A rotation needs this many stars.
 _LEAST_STARS = 3
 
@@ -90,12 +88,7 @@ class FrameTruth:
 
     def contradiction(self, answer: Answer) -> str | None:
         """Return how the file or the time of an answer contradicts this frame; None if neither does."""
-        if answer.file is not None and answer.file != self.file:
-            return f"frame {self.frame} is {self.file}, not {answer.file}"
-        late_s = 0.0 if answer.utc_s is None else answer.utc_s - self.camera_utc_mid_s
-        if abs(late_s) > self.total_s / 2 + _CLOCK_TOLERANCE_S:
-            return f"its utc is {late_s:+.1f} s from the middle of frame {self.frame} by the camera's clock"
-        return None
+        return answer.contradiction(self.frame, self.file, self.camera_utc_mid_s, self.total_s)
 
     def distance_from_trail(self, star: int, xy_px: Float) -> float:
         """Return the distance of a point, (2,) px, from the line through start, middle and end of a trail, px."""
@@ -166,7 +159,7 @@ def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     truth = directory / _TRUTH if directory.is_dir() else directory
     if not truth.is_file() and not has_truth(truth.parent):
         raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
-    offset_s = _clock_offset_s(truth.parent / _MANIFEST)
+    offset_s = clock_offset_s(truth.parent)
     with reading(truth, AnswersError, "has a damaged line", is_unchecked=True):
         try:
             frames = [_frame_truth(line, offset_s, least_snr) for line in read_truth(truth)]
@@ -179,15 +172,24 @@ def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     return frames
 
 
-def _clock_offset_s(manifest: Path) -> float:
+def clock_offset_s(export: Path) -> float:
     """Return the error of the navigator's clock that an export was made with, s."""
     try:
-        return float(orjson.loads(manifest.read_bytes())["config"]["navigator"]["clock_offset_s"])
+        return float(orjson.loads((export / _MANIFEST).read_bytes())["config"]["navigator"]["clock_offset_s"])
     except (OSError, ValueError, KeyError, TypeError):
         return 0.0
 
 
-def _frame_truth(line: Mapping[str, Any], clock_offset_s: float, least_snr: float) -> FrameTruth:
+def camera_utc_mid_s(line: Mapping[str, Any], offset_s: float) -> float:
+    """Return the middle of a frame of truth by the clock that stamps it for a navigator, UTC seconds since 1970.
+
+    `offset_s`: as of `clock_offset_s`, for a frame without a setting of a sweep.
+    """
+    offset_s = float(line.get("settings", {}).get("navigator.clock_offset_s", offset_s))
+    return parse_utc(line.get("camera_utc_mid") or line["utc_mid"]) + offset_s
+
+
+def _frame_truth(line: Mapping[str, Any], offset_s: float, least_snr: float) -> FrameTruth:
     stars = line["stars"]
     xy_px = {
         "middle": _positions([(star["x_px"], star["y_px"]) for star in stars]),
@@ -199,12 +201,11 @@ def _frame_truth(line: Mapping[str, Any], clock_offset_s: float, least_snr: floa
     in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
     _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])
     site, settings = line["site"], dict(line.get("settings", {}))
-    clock_offset_s = float(settings.get("navigator.clock_offset_s", clock_offset_s))
     return FrameTruth(
         frame=int(line["frame"]),
         file=str(line["file"]),
         utc_mid_s=parse_utc(line["utc_mid"]),
-        camera_utc_mid_s=parse_utc(line.get("camera_utc_mid") or line["utc_mid"]) + clock_offset_s,
+        camera_utc_mid_s=camera_utc_mid_s(line, offset_s),
         duration_s=float(line["duration_s"]),
         total_s=float(line.get("total_s", line["duration_s"])),
         latitude_rad=float(np.deg2rad(site["latitude_deg"])),

@@ -12,9 +12,10 @@ from glstar.camera.exposure import Exposure, Stack
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor.sensor import Sensor
 from glstar.compare import FlightComparison, Search
+from glstar.compare.flights import _sensor_of
 from glstar.compare.prediction import predicted_trails
 from glstar.config import Config
-from glstar.errors import ConfigError
+from glstar.errors import ConfigError, ImagesError
 from glstar.images import ImageTime, RealImage
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
@@ -105,6 +106,18 @@ def test_the_readout_time_of_stacks_is_not_fitted(renderer: GLRenderer, simulate
     with pytest.raises(ConfigError, match="the readout time is fitted to single exposures") as error:
         comparing.align(fit_time=False, fit_mount=False, fit_readout=True)
     assert error.value.key == "exposure.frames"
+
+
+@pytest.mark.parametrize(("over_dn", "is_refused"), [(0, False), (1, True)])
+def test_a_stack_may_be_saturated_in_every_exposure_but_not_beyond(over_dn: int, is_refused: bool) -> None:
+    sensor, exposure = Sensor(reference_vmag=3.0, reference_peak_dn=150.0, psf_sigma_px=1.2), stacked()
+    pixels = np.zeros((4, 4), np.uint16)
+    pixels[1, 2] = exposure.frames * sensor.saturation_dn + over_dn
+    if is_refused:
+        with pytest.raises(ImagesError, match=rf"has {pixels.max()} DN, and the sum of {exposure.frames} exposures"):
+            _sensor_of(pixels, sensor, Path("a.png"), exposure)
+    else:
+        assert _sensor_of(pixels, sensor, Path("a.png"), exposure) is sensor
 
 
 def test_a_stack_without_measurable_stars_has_no_trails(renderer: GLRenderer, simulated: Simulator) -> None:

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from glstar.camera.exposure import Exposure
 from glstar.cli import app
 from glstar.cli.flights.navigatoranswers import InjectedAnswers
+from glstar.config import Config
 from glstar.link import Endpoint, Injector
 from glstar.sky.place.timescale import parse_utc
 from tests.support.autopilot import (
@@ -174,23 +175,27 @@ def test_an_answer_that_cannot_be_sent_is_reported(tmp_path: Path) -> None:
     source, messages = tmp_path / "answers", list[str]()
     exposure = Exposure(1e9, 0.5)
     injector = Injector(Endpoint.parse("udpin:127.0.0.1:1"))
-    with InjectedAnswers(source, injector, {3: exposure, "frame_000003.png": exposure}, messages.append):
+    config = Config().override(**{"flight.time_offset_s": 40.0, "navigator.clock_offset_s": -10.0})
+    with InjectedAnswers(source, injector, {3: exposure, "frame_000003.png": exposure}, config, messages.append):
         source.write_text(
             '{"frame": 4, "latitude_deg": 1, "longitude_deg": 2}\n{"frame": 3\n{"frame": 3, "status": "refused"}\n'
             '{"frame": 3, "latitude_deg": 1, "longitude_deg": 2, "instant": "end"}\n'
             '{"file": "frame_000003.png", "latitude_deg": 1, "longitude_deg": 2}\n'
             '{"frame": 3, "file": "frame_000004.png", "latitude_deg": 1, "longitude_deg": 2}\n'
-            '{"file": "frame_000003.png", "latitude_deg": 1, "longitude_deg": 2, "replaces": true}\n'
+            '{"file": "frame_000003.png", "utc": "2001-09-09T01:46:40Z", "latitude_deg": 1, "longitude_deg": 2}\n'
+            '{"file": "frame_000003.png", "utc": "2001-09-09T01:47:10Z", "latitude_deg": 1, "longitude_deg": 2,'
+            ' "replaces": true}\n'
             '{"frame": 3, "latitude'
         )
         until(lambda: len(injector._fixes) == 2, "the two answers")
 
     assert [fix.utc_s for fix in injector._fixes] == [exposure.stop_utc_s, exposure.mid_utc_s]
-    assert len(messages) == 4
+    assert len(messages) == 5
     assert "line 1 answers frame 4, which was not drawn" in messages[0]
     assert "line 2 is no JSON" in messages[1]
     assert "line 5 answers frame frame_000003.png again; line 4 counts" in messages[2]
     assert "line 6 contradicts itself: frame 3 is not frame_000004.png" in messages[3]
+    assert "line 7 contradicts itself: its utc is -30.2 s from the middle of frame frame_000003.png" in messages[4]
 
 
 HOSTILE = [
@@ -219,7 +224,7 @@ def test_whatever_arrives_the_answers_after_it_are_sent(source: str, tmp_path: P
     lines = [*HOSTILE, right]
     if source == "pipe":
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"\n".join(lines))))
-    with InjectedAnswers(where, injector, {3: Exposure(0.9e9, 0.5), 4: exposure}, messages.append):
+    with InjectedAnswers(where, injector, {3: Exposure(0.9e9, 0.5), 4: exposure}, Config(), messages.append):
         if source == "file":
             path.write_bytes(b"\n".join(lines) + b"\n")
         if source == "socket":

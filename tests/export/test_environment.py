@@ -147,9 +147,16 @@ def test_gymnasiums_five_results_have_the_truth_in_info_only(environment):
 
 @pytest.mark.parametrize(
     ("keys", "first"),
-    [({}, None), ({"navigator.gps": "known", "sensor.bit_depth": 12}, None), ({"flight.synthetic.path": None}, LEVEL)],
+    [
+        ({}, None),
+        ({"navigator.gps": "known", "sensor.bit_depth": 12}, None),
+        ({"sensor.noise": "electrons", "exposure.control": "mean", "exposure.control_min_s": 1e-3}, None),
+        ({"flight.synthetic.path": None}, LEVEL),
+    ],
 )
-@pytest.mark.filterwarnings("ignore:.*WARN.*:UserWarning")
+# Actions are seconds, where Gymnasium recommends numbers from 0 to 1; `gymnasium.make` knows no flight.
+@pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*symmetric and normalized space:UserWarning")
 def test_gymnasiums_own_checker_finds_nothing(keys: dict, first: gs.Pose | None, renderer) -> None:
     settings = SETTINGS | {"flight.synthetic.turns": 2.0} | keys
     settings = {key: value for key, value in settings.items() if value is not None}
@@ -163,6 +170,10 @@ def test_gymnasiums_own_checker_finds_nothing(keys: dict, first: gs.Pose | None,
         env.reset(seed=5)
         observation, *_ = env.step(env.action_space.sample())
         assert observation in env.observation_space
+        spaces = env.observation_space["nav"]
+        shortest_s = settings.get("exposure.control_min_s", 0.1)
+        assert spaces["rates_rad_per_s"].high[0] == pytest.approx(np.pi / shortest_s, rel=1e-6)
+        assert all(np.isfinite(each.high).all() for each in spaces.values())
         picture = env.render()
     assert picture.shape == (120, 160, 3)
     assert picture.max() == 255

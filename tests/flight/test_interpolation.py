@@ -180,6 +180,19 @@ def test_a_gap_has_a_constant_rate_and_independent_sides() -> None:
         assert between_rad(whole.at(at), part(at)).max() < 1e-6 * ARCSEC
 
 
+def test_joined_curves_have_a_constant_rate_between_them() -> None:
+    t, q = tumbling(4, 40)
+    parts = [RotationSpline.through(t[part], q[part]) for part in (slice(18), slice(18, 30), slice(30, 40))]
+    joined = RotationSpline.joined(parts)
+
+    for part in parts:
+        at = np.linspace(part.t_s[0], part.t_s[-1], 50)[:-1]
+        assert between_rad(joined.at(at), part.at(at)).max() < 1e-6 * ARCSEC
+    for before in (17, 29):
+        at = np.linspace(t[before], t[before + 1], 50)
+        assert between_rad(joined.at(at), slerped(t, q, at)).max() < 1e-6 * ARCSEC
+
+
 def test_a_spline_at_10_hz_is_four_times_better_than_slerp_on_the_bundled_flight() -> None:
     truth = open_flight(asset("adelaide.BIN")).attitude
     few = slice(None, None, round(truth.rate_hz / 10))

@@ -14,8 +14,14 @@ from glstar.render.opengl import GLRenderer
 from glstar.render.scene.bodies import BodySources, body_field, disc_sources, star_sigma_rad
 from glstar.render.scene.culling import DrawList
 from glstar.render.scene.scene import Scene
+from glstar.render.simulator import Simulator
 from glstar.render.truth.frame import frame_truth
+from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.observed.solarsystem import Body
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
+from glstar.telemetry import ScriptedFlight
 from tests.scripts.random_moons import differences, random_trial
 from tests.support.scenes import camera, sky_over_adelaide, stars_at
 
@@ -215,3 +221,25 @@ def test_the_limb_and_the_size_of_the_moon_are_in_truth(renderer: GLRenderer) ->
     np.testing.assert_allclose(found["diameter_px"], 18.0, rtol=1e-4)
     np.testing.assert_allclose([found["x_px"], found["centroid_x_px"]], 31.5, rtol=0, atol=1e-5)
     assert [star["star_id"] for star in line["stars"]] == [1]
+
+
+def test_the_limb_of_the_moon_behind_a_rolling_shutter_is_that_of_its_row(renderer: GLRenderer) -> None:
+    """A spin of 60 deg/s under a half Moon near the zenith turns the limb by 2.5 deg in twice the offset of its row."""
+    begin_s, site = parse_utc("2024-03-18T10:37:30Z"), Site(*np.deg2rad([28.0, 120.0]))
+    flight = ScriptedFlight.steady(site, begin_s, duration_s=4.0, yaw_rate_rad_per_s=np.deg2rad(60.0)).flight()
+    sky = Sky(StarCatalogue.open("bsc5").brighter_than(1.0))
+    upwards = Simulator.of(flight, sky, camera(640, 480, 600.0), Mount(0.0, np.pi / 2, 0.0), SENSOR)
+
+    def truth_of_moon(exposure: Exposure) -> dict[str, float]:
+        scene = replace(upwards, bodies=True).scene(exposure)
+        line = orjson.loads(frame_truth(scene, renderer.render(scene, seed=0), number=0, file="a.png"))
+        return {body["name"]: body for body in line["bodies"]}["Moon"]
+
+    rolling = Exposure(begin_s + 1.0, 0.02, readout_s=0.5)
+    found = truth_of_moon(rolling)
+    middle_s = rolling.mid_utc_s + found["mid_offset_s"]
+    expected = truth_of_moon(Exposure(middle_s - 1e-4, 2e-4))
+
+    assert abs(found["mid_offset_s"]) > 0.02
+    for name, tolerance in (("bright_limb_deg", 1e-3), ("diameter_px", 1e-4), ("x_px", 1e-3), ("y_px", 1e-3)):
+        assert found[name] == pytest.approx(expected[name], rel=0, abs=tolerance)

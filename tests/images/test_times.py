@@ -97,6 +97,9 @@ def test_the_time_is_read_from_a_file_name(name: str, delay_s: float) -> None:
         "20190229_204726.png",
         "IMG_0001.jpg",
         "123456789.png",
+        # A counter before 1990, and one from 2100 on.
+        "631151999.png",
+        "4102444800.png",
     ],
 )
 def test_a_name_without_a_time_gives_none(name: str) -> None:

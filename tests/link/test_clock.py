@@ -140,6 +140,12 @@ def test_a_given_utc_of_the_first_packet_is_used() -> None:
     assert clock.utc_minus_boot_s == pytest.approx(UTC_S - 50.0, abs=1e-6)
     assert clock.source == "given"
 
+    # It is the given one after a reboot, too.
+    clock.add_packet(1.0, 5100.0)
+    assert clock.boot == 1
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S + 100.0 - 1.0, abs=1e-6)
+    assert clock.source == "given"
+
 
 def test_utc_of_a_ground_station_is_used_if_the_autopilot_has_none() -> None:
     clock = BootClock()

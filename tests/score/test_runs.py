@@ -11,7 +11,8 @@ import pytest
 from glstar.errors import AnswersError
 from glstar.render.truth.frame import KEYS
 from glstar.rotation import about_y, quaternion_from_euler, quaternion_from_matrix
-from glstar.score.scoring import Score, score
+from glstar.score.metrics import MOST_VALUES
+from glstar.score.scoring import Run, Score, orbits_by_setting, score
 
 ARCSEC = np.pi / 180 / 3600
 KM_PER_DEG = 6378.137 * np.pi / 180
@@ -137,3 +138,18 @@ def test_an_answer_to_a_frame_of_another_set_is_refused_in_one_line(data_set: Pa
 
     with pytest.raises(AnswersError, match="answers frame 99; the truth has 27"):
         score(data_set, tmp_path / "answers.csv")
+
+
+@pytest.mark.parametrize(
+    ("values", "is_grouped"), [(1, False), (2, True), (MOST_VALUES, True), (MOST_VALUES + 1, False)]
+)
+def test_orbits_are_grouped_by_a_setting_of_few_values(values: int, is_grouped: bool) -> None:
+    runs = [
+        Run("", k, {"mount.yaw_deg": k, "flight.synthetic.seed": k}, None, (f"orbit {k}",))  # type: ignore[arg-type]
+        for k in range(values)
+    ]
+
+    grouped = orbits_by_setting(runs)
+
+    expected = {"mount.yaw_deg": {str(k): [f"orbit {k}"] for k in range(values)}} if is_grouped else {}
+    assert grouped == expected

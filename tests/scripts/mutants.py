@@ -11,8 +11,9 @@ Works on copies of the checkout, one per worker, in a temporary directory.  Firs
 must pass.  A fault is caught if one of its tests fails.  The exit status is 1 if fewer than 95 % are caught, 2 if tests
 fail without a fault or a snippet does not occur exactly once.
 
-The tests of a random fault are those of the folder that mirrors its package.  The first that fails runs
-again without the fault: if it fails there too, or the tests take longer than --slowest-s, the fault is not judged.
+The tests of a random fault are those of the folder that mirrors its package; the quick ones of the files that import it
+run first.  The first that fails runs again without the fault: if it fails there too, or the tests take longer than
+--slowest-s, the fault is not judged.
 """
 
 import argparse
@@ -40,8 +41,8 @@ LEAST_CAUGHT = 0.95
 # Timeout, s: a fault with which a test does not end is caught.
 SLOWEST_S = 300
 NOT_COPIED = (".git", "__pycache__", "*.egg-info", ".*_cache", ".venv*", "build", "dist", "*.pyc")
-# pytest's exit status: a test failed; tests could not be imported or run.
-FAILED = 1
+# pytest's exit status: a test failed; no test was selected.
+FAILED, NOTHING = 1, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,8 @@ class Fault:
         The consequence for the user.
     tests : tuple of str
         Arguments of pytest.
+    likely : tuple of str
+        Those of a random fault that run first, without slow ones: of the files that import its module.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Fault:
     new: str
     means: str
     tests: tuple[str, ...]
+    likely: tuple[str, ...] = ()
 
     @property
     def occurrences(self) -> int:
@@ -137,6 +141,8 @@ class Checkout:
         if done.returncode == 0:
             return []
         failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+        if done.returncode == NOTHING and "-m" in options:
+            return []
         if done.returncode != FAILED and not failed:
             raise RuntimeError(f"pytest cannot run {' '.join(tests)}:\n{done.stdout}{done.stderr}")
         return failed or done.stdout.splitlines()[-1:]
@@ -170,7 +176,10 @@ class Workers:
         began_s = time.monotonic()
         with self.one() as checkout:
             with checkout.broken_by(fault):
-                failed = checkout.failures(fault.tests, "-x", slowest_s=slowest_s)
+                failed = (
+                    checkout.failures(fault.likely, "-x", "-m", "not slow", slowest_s=slowest_s) if fault.likely else []
+                )
+                failed = failed or checkout.failures(fault.tests, "-x", slowest_s=slowest_s)
             unjudged = ""
             if failed and failed[0].startswith("no end"):
                 unjudged = failed[0]
@@ -216,7 +225,7 @@ def random_faults(count: int, seed: int, only: Sequence[str]) -> list[Fault]:
         pairs = zip(old.splitlines(), new.splitlines(), strict=True)
         means = "; ".join(f"{before.strip()}  ->  {after.strip()}" for before, after in pairs if before != after)
         name = f"{change.kind} {change.file}:{change.line}"
-        faults.append(Fault(name, change.file, old, new, means, tests_of(change.file)))
+        faults.append(Fault(name, change.file, old, new, means, *tests_of(change.file)))
     return faults
 
 

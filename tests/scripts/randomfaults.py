@@ -232,8 +232,8 @@ def _tests() -> dict[str, str]:
 
 
 @cache
-def tests_of(file: str) -> tuple[str, ...]:
-    """Return the tests that belong to a file: of the folders that mirror its package, those that import it first.
+def tests_of(file: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the tests that belong to a file, of the folders that mirror its package, and those that import it.
 
     The commands have no folder: theirs are the tests that import the file or name the command.
     """
@@ -243,10 +243,12 @@ def tests_of(file: str) -> tuple[str, ...]:
     imports = re.compile(rf"\b{re.escape(module)}\b(?!\.)|from {re.escape(room)} import .*\b{name}\b")
     if package == "cli":
         command = re.compile(rf"{imports.pattern}|[\"']{re.escape(name)}[\"']")
-        return tuple(test for test, text in _tests().items() if command.search(text))
+        named = tuple(test for test, text in _tests().items() if command.search(text))
+        return named, named
     folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())))
     mirrored = {test: text for test, text in _tests().items() if test.startswith(folders)}
-    return tuple(sorted(mirrored, key=lambda test: imports.search(mirrored[test]) is None))
+    importing = tuple(test for test in mirrored if imports.search(mirrored[test]))
+    return (*importing, *(test for test in mirrored if test not in importing)), importing
 
 
 def drawn_changes(count: int, seed: int, only: Sequence[str] = ()) -> Iterator[tuple[Change, str, str]]:
@@ -265,6 +267,6 @@ def drawn_changes(count: int, seed: int, only: Sequence[str] = ()) -> Iterator[t
     while len(drawn) < count:
         change, text = rng.choice(by_kind[rng.choice(sorted(by_kind))])
         pair = snippets(text, change)
-        if change not in drawn and pair is not None and tests_of(change.file):
+        if change not in drawn and pair is not None and tests_of(change.file)[0]:
             drawn.add(change)
             yield change, *pair

@@ -26,7 +26,8 @@ from glstar.cli.machine.catalogue import app
 from glstar.errors import CatalogueError, ExportError, GlstarError
 from glstar.sky.catalogue.bright import build_bsc5, build_hipparcos, to_j2000, vmag_from_hp
 from glstar.sky.catalogue.names import designation, proper_names
-from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue, catalogue_path
+from glstar.sky.catalogue.reading import CatalogueFile, CatalogueRow, StarCatalogue, catalogue_path
+from glstar.sky.catalogue.writing import write_catalogue
 from glstar.system.installation import install_command
 
 ARCSEC = np.pi / 180 / 3600
@@ -427,6 +428,49 @@ def test_a_file_that_is_not_a_catalogue_is_refused_in_one_line(tmp_path, bsc5, h
     assert message.startswith(f"{path}: ")
     assert words in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "why"),
+    [
+        ("number", None, "a star has a number of another type"),
+        ("number", "HR 1", "a star has a number or a magnitude of another type"),
+        ("number", 2**40, "a star has a number of more than 2.14748e+09"),
+        ("name", None, "a star has a name of another type"),
+        ("designation", b"alpha", "a star has a designation of another type"),
+        ("ra_rad", "1h", "a star has a ra_rad of another type"),
+        ("dec_rad", 1.6, "a star has a dec_rad of more than 1.5708"),
+        ("pm_dec_rad_per_yr", None, "a star has a pm_dec_rad_per_yr of another type"),
+        ("vmag", -1e300, "a star has a vmag of more than 100"),
+        ("vmag", b"1", "a star has a number or a magnitude of another type"),
+        ("bv", float("inf"), "a star has a bv of more than 100"),
+        ("parallax_rad", -1e9, "a star has a parallax_rad of more than 1"),
+        ("radial_velocity_m_per_s", "fast", "a star has a radial_velocity_m_per_s of another type"),
+    ],
+)
+def test_a_catalogue_with_a_value_that_is_none_of_its_column_is_refused(tmp_path, column, value, why):
+    path = tmp_path / "stars.sqlite"
+    row = CatalogueRow(1, "", "", 0.01, 0.0, 0.0, 0.0, 2.0, 0.5, 0.0, 0.0)
+    write_catalogue(path, [row, row._replace(number=2)], {"title": "of a test", "numbering": "HIP"})
+    with closing(sqlite3.connect(path)) as connection, connection:
+        columns = ", ".join(CatalogueRow._fields)
+        # As in a damaged file: tables without a key and without types.
+        connection.executescript(
+            f"ALTER TABLE star RENAME TO old; CREATE TABLE star ({columns});"
+            f"INSERT INTO star SELECT {columns} FROM old; DROP TABLE old; CREATE INDEX star_vmag ON star (vmag);"
+            "CREATE INDEX star_ra_dec_vmag ON star (ra_rad); CREATE INDEX star_dec_ra_vmag ON star (dec_rad);"
+        )
+        whole = StarCatalogue.open(path)
+        assert whole.brighter_than(9.0).star_id.tolist() == [1, 2]
+        connection.execute(f"UPDATE star SET {column} = ? WHERE rowid = 2", (value,))
+    damaged = rf"stars\.sqlite: is damaged \({re.escape(why)}\); build it again"
+    with pytest.raises(CatalogueError, match=damaged):
+        StarCatalogue.open(path).brighter_than(9.0)
+    if column in {"name", "parallax_rad"}:
+        with pytest.raises(CatalogueError, match=damaged):
+            StarCatalogue.open(path).within([1.0, 0.0, 0.0], 0.1)
+        with pytest.raises(CatalogueError, match=damaged):
+            StarCatalogue.open(path).by_id([2])
 
 
 # Building

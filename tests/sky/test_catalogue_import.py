@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import re
 from pathlib import Path
 
 import erfa
@@ -61,6 +62,32 @@ def test_a_file_that_is_no_part_of_tycho_2_is_refused(tmp_path: Path, content: s
     with pytest.raises(CatalogueError, match=r"tyc2\.dat: (is no table of Tycho-2: line 1|holds no star)"):
         build_tycho2(tmp_path / "out.sqlite", [tmp_path / "tyc2.dat"])
     assert not (tmp_path / "out.sqlite").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("0001 00008 1", "000199999999999999999 1 1", "is no table of Tycho-2: line 1 has a field that is no number"),
+        ("0001 00008 1", "0099999 00008 1", "gives number 19999800081 a number of 1.99998e+10"),
+        ("  2.31750494", "       1e999", "holds the number inf, which no star has"),
+        ("  2.23184345", " 99.23184345", "gives number 200081 a dec_rad of 1.73192"),
+        ("  -16.3", "-163e12", "holds the number -1.63e+14, which no star has"),
+        ("  -16.3", " -163e9", "gives number 200081 a pm_ra_cosdec_rad_per_yr of -790"),
+        ("|12.146|0.223", "|82.146|0.223", "gives number 200081 the magnitude 88.4"),
+    ],
+)
+def test_a_star_of_tycho_2_with_an_absurd_number_is_refused(tmp_path: Path, old: str, new: str, why: str) -> None:
+    assert old in TYC_1
+    (tmp_path / "tyc2.dat").write_text(TYC_1.replace(old, new), encoding="ascii")
+    with pytest.raises(CatalogueError, match=rf"tyc2\.dat: {re.escape(why)}"):
+        build_tycho2(tmp_path / "out.sqlite", [tmp_path / "tyc2.dat"])
+    assert not (tmp_path / "out.sqlite").exists()
+
+
+def test_a_star_of_hipparcos_with_a_number_beyond_64_bits_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hip_main.dat").write_text(HIP_1.replace("           1| |", f"{10**20}| |", 1), encoding="ascii")
+    with pytest.raises(CatalogueError, match=r"hip_main\.dat: is no table of hip_main\.dat: line 1 has a field"):
+        build_hip_main(tmp_path / "out.sqlite", tmp_path / "hip_main.dat")
 
 
 def test_space_motion_follows_erfa_with_parallax_and_radial_velocity() -> None:

@@ -4,11 +4,13 @@ import gzip
 import io
 import json
 import random
+import re
 import shutil
+import sqlite3
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +32,7 @@ from glstar.errors import GlstarError
 from glstar.images import read_grey
 from glstar.images.times import read_table, read_truth, time_of
 from glstar.score.answers import read_answers
-from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.catalogue.reading import APPLICATION_ID, SCHEMAS, StarCatalogue
 from glstar.sky.catalogue.writing import write_catalogue
 from glstar.sky.observed.satellites import Satellites
 from glstar.sky.photometry import StarBrightness
@@ -264,6 +266,27 @@ def _catalogue(path: Path) -> None:
     catalogue.within([1.0, 0.0, 0.0], 0.3)
 
 
+def _statements(path: Path) -> bytes:
+    """Return SQL that makes a catalogue with tables of no types, so that damaged values stay in it."""
+    with closing(sqlite3.connect(path)) as connection:
+        text = ";\n".join(statement.rstrip(";") for statement in connection.iterdump())
+    types = r" (INTEGER PRIMARY KEY|(TEXT|REAL)( NOT NULL)?( DEFAULT 0)?)(?=,|\)| *\n)"
+    return re.sub(types, "", re.sub(r" +--.*", "", text)).encode()
+
+
+def _database(statements: bytes) -> bytes:
+    """Return the database that damaged SQL makes; statements that are not valid have no effect."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        for statement in statements.decode(errors="replace").split(";\n"):
+            with suppress(sqlite3.Error, sqlite3.Warning, ValueError):
+                connection.execute(statement)
+        with suppress(sqlite3.Error):
+            connection.execute("COMMIT")
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        connection.execute(f"PRAGMA user_version = {SCHEMAS[-1]}")
+        return connection.serialize()
+
+
 def _built(name: str, path: Path) -> None:
     _build(_Name(name), path.with_name("built.sqlite"), [path], {}, None, force=True)
 
@@ -295,11 +318,15 @@ def catalogues() -> list[Kind]:
         rows = bright.star_id.tolist(), bright.ra_rad.tolist(), bright.dec_rad.tolist(), bright.vmag.tolist()
         from glstar.sky.catalogue.reading import CatalogueRow  # noqa: PLC0415
 
-        stars = [CatalogueRow(n, "", "", ra, dec, 0.0, 0.0, vmag, None) for n, ra, dec, vmag in zip(*rows, strict=True)]
+        stars = [
+            CatalogueRow(n, "", "", ra, dec, 0.0, 0.0, vmag, None, 1e-6, 1e3)
+            for n, ra, dec, vmag in zip(*rows, strict=True)
+        ]
         write_catalogue(path, stars, {"title": "of the fuzz", "numbering": "HR"})
-        found.append(
-            Kind("catalogues", "glstar's catalogue", {"stars.sqlite": path.read_bytes()}, chunks, reading(_catalogue))
+        built = Kind(
+            "catalogues", "glstar's catalogue", {"stars.sqlite": path.read_bytes()}, chunks, reading(_catalogue)
         )
+        found += [built, replace(built, name="catalogue of SQL", inner=_statements(path), pack=_database)]
     with suppress(ImportError):
         from astropy.io import fits  # noqa: PLC0415 - an extra
         from astropy.table import Table  # noqa: PLC0415

@@ -215,6 +215,25 @@ def test_a_betaflight_table_holds_three_components_of_a_quaternion(tmp_path: Pat
     require_agreement(open_flight(tmp_path / "btfl.csv", utc_start=START_S))
 
 
+def test_half_a_turn_of_betaflight_has_no_fourth_component_and_a_longer_quaternion_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "btfl.csv"
+    table = pd.DataFrame({"loopIteration": np.arange(TIMES_S.size), "time (us)": TIMES_S * 1e6 + 5e6})
+    # As the firmware rounds half a turn about an axis between x and z: 1.00003 long.
+    for k, count in enumerate((23170, 0, 23171)):
+        table[f"imuQuaternion[{k}]"] = count
+    table.to_csv(path, index=False)
+
+    flight = open_flight(path, site=HOME, utc_start=START_S)
+
+    turned = (FLIP * Rotation.from_quat([23170, 0, 23171, 0]) * FLIP).inv().as_matrix()
+    np.testing.assert_allclose(matrix_from_quaternion(flight.attitude.q_body_ned[0]), turned, rtol=0, atol=1e-9)
+
+    table["imuQuaternion[2]"] = 24000
+    table.to_csv(path, index=False)
+    with pytest.raises(LogFormatError, match="begins a quaternion longer than 1"):
+        open_flight(path, site=HOME, utc_start=START_S)
+
+
 def test_an_inav_table_counts_the_pitch_downwards_in_tenths_of_a_degree(tmp_path: Path) -> None:
     table = pd.DataFrame({"loopIteration": np.arange(TIMES_S.size), "time (us)": TIMES_S * 1e6})
     table["attitude[0]"], table["attitude[1]"] = ROLL_DEG * 10, -PITCH_DEG * 10

@@ -433,6 +433,23 @@ def test_damaged_bytes_lose_only_the_messages_that_contain_them(path: Path, turn
     np.testing.assert_allclose(attitude.utc_s, expected, rtol=0, atol=1e-5)
 
 
+def test_a_log_is_read_on_among_messages_of_other_kinds(path: Path, turn: Log) -> None:
+    size = len(turn.samples[0])
+    text = Log.message("L", b"6" + struct.pack("<Q", 31_000_000) + b"Takeoff detected")
+    turn.samples[31:] = [part for sample in turn.samples[31:] for part in (text, sample)]
+    data = bytearray(turn.data())
+    begin = data.index(turn.samples[30])
+    # One sample is damaged: another size, and the number of a topic that nothing subscribes to.
+    data[begin : begin + size] = turn.samples[30][:3] + b"\xc8\0" + bytes(size - 5)
+    data[begin] ^= 0x40
+    path.write_bytes(data)
+
+    attitude = open_flight(path).attitude
+
+    expected = np.delete(ELEVEN_S + np.arange(101) / 50, 30)
+    np.testing.assert_allclose(attitude.utc_s, expected, rtol=0, atol=1e-5)
+
+
 def test_unknown_messages_are_skipped(path: Path, turn: Log) -> None:
     path.write_bytes(turn.data(Log.message("S", bytes(8)), Log.message("I", b"\x08char[2] ver_hwAB")))
 

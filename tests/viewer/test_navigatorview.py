@@ -224,6 +224,25 @@ def test_the_first_answer_to_a_frame_is_shown_unless_another_replaces_it(answere
     assert [round(np.rad2deg(answer.position_rad[0])) for answer in shown] == [1, 7]
 
 
+def test_an_answer_that_contradicts_its_frame_is_not_shown(answered, tmp_path, capsys):
+    _, directory, _ = answered
+    middle = json.loads((directory / "truth.jsonl").read_text().splitlines()[0])["camera_utc_mid"]
+    path = tmp_path / "contradicting.jsonl"
+    rows = [
+        {"frame": 0, "file": "frame_000001.png", "latitude_deg": 1, "longitude_deg": 2},
+        {"frame": 0, "utc": "2001-01-01T00:00:00Z", "latitude_deg": 3, "longitude_deg": 2},
+        {"frame": 0, "utc": middle, "latitude_deg": 5, "longitude_deg": 2},
+    ]
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    shown = placed_answers(path, directory)
+
+    assert [round(np.rad2deg(answer.position_rad[0])) for answer in shown] == [5]
+    notes = capsys.readouterr().err.splitlines()
+    assert "line 1 contradicts itself: frame 0 is frame_000000.png, not frame_000001.png; not shown" in notes[0]
+    assert "line 2 contradicts itself: its utc is -" in notes[1]
+
+
 def test_the_directory_of_a_navigator_has_no_truth_to_compare_with(answered, tmp_path):
     path = answered[2]
     seen = tmp_path / "seen"

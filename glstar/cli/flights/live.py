@@ -312,7 +312,9 @@ def _export(
             command=shlex.join(["glstar", *sys.argv[1:]]),
         )
         if injection is not None:
-            received = InjectedAnswers(injection.answers, injection.injector, job.exposures, _log, on_failure=job.stop)
+            received = InjectedAnswers(
+                injection.answers, injection.injector, job.exposures, settings, _log, on_failure=job.stop
+            )
             stack.enter_context(received)
         report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
         injector = None if injection is None else injection.injector

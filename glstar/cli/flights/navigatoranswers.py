@@ -15,6 +15,7 @@ from glstar.errors import AnswersError, ExportError
 from glstar.export.publish.stream import STREAM, AnswerReceiver
 from glstar.link import Injector, PositionFix
 from glstar.score.answers import MOST_CHARACTERS, Answer, FirstAnswers, parse_answer, read_answers
+from glstar.score.frames import camera_utc_mid_s, clock_offset_s
 from glstar.sky.place.timescale import format_utc, parse_utc
 
 if TYPE_CHECKING:
@@ -141,11 +142,17 @@ def _complete_lines(file: IO[bytes], has_more: Callable[[], bool] | None = None)
         yield line.decode("utf-8", errors="replace")
 
 
+def _camera_clock_offset_s(config: Config) -> float:
+    """Return the clock that stamps the frames for a navigator minus UTC, s."""
+    return config.flight.time_offset_s + config.navigator.clock_offset_s
+
+
 class InjectedAnswers(IncomingAnswers):
     """Answers that are sent to the autopilot.
 
     `source`: as for `IncomingAnswers`; `exposures`: exposures of the frames that were drawn, by number and by file
-    name; `report`: called with a message for each answer that cannot be sent.
+    name; `config`: its clocks relate the camera's UTC to the link's; `report`: called with a message for each answer
+    that cannot be sent.
     """
 
     def __init__(
@@ -153,12 +160,14 @@ class InjectedAnswers(IncomingAnswers):
         source: str | Path,
         injector: Injector,
         exposures: Mapping[int | str, Exposure],
+        config: Config,
         report: Callable[[str], None],
         on_failure: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(source, report, on_failure)
         self._injector = injector
         self._exposures = exposures
+        self._clock_offset_s = _camera_clock_offset_s(config)
         self._first = FirstAnswers()
 
     def take(self, answer: Answer) -> None:
@@ -178,10 +187,11 @@ class InjectedAnswers(IncomingAnswers):
             raise AnswersError(
                 self._source, f"line {answer.line} answers frame {answer.of}, which was not drawn; not sent"
             )
+        contradiction = answer.clock_objection(answer.of, exposure.mid_utc_s + self._clock_offset_s, exposure.span_s)
         if answer.file is not None and self._exposures.get(answer.file) != exposure:
-            raise AnswersError(
-                self._source, f"line {answer.line} contradicts itself: frame {answer.frame} is not {answer.file}"
-            )
+            contradiction = f"frame {answer.frame} is not {answer.file}"
+        if contradiction is not None:
+            raise AnswersError(self._source, f"line {answer.line} contradicts itself: {contradiction}; not sent")
         objection = self._first.objection(answer, exposure.start_utc_s)
         if objection is not None:
             raise AnswersError(self._source, f"{objection}; not sent")
@@ -202,22 +212,26 @@ def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
 
     if not (export / "truth.jsonl").is_file() and (export / NAV).is_file():
         raise ExportError(export, "is for a navigator and has no truth.jsonl; name the directory of --blind")
-    # The number of each frame, and its times: by number and by file.
-    frames: dict[int | str | None, tuple[int, dict[str, float]]] = {}
+    # By number and by file: number, file, middle by the camera's clock and length of each frame, and its instants.
+    frames: dict[int | str | None, tuple[tuple[int, str, float, float], dict[str, float]]] = {}
+    offset_s = clock_offset_s(export)
     for line in read_truth(export):
         start_s, middle_s = parse_utc(line["utc_start"]), parse_utc(line["utc_mid"])
         instants_s = {"start": start_s, "middle": middle_s, "end": 2 * middle_s - start_s}
-        frames[line["frame"]] = frames[line["file"]] = line["frame"], instants_s
+        stamp = line["frame"], line["file"], camera_utc_mid_s(line, offset_s), 2 * (middle_s - start_s)
+        frames[line["frame"]] = frames[line["file"]] = stamp, instants_s
     given, first = read_answers(answers), FirstAnswers()
     faults, counted = list(given.faults), dict[int, Answer]()
     for answer in given.answers:
         if answer.of not in frames:
             raise AnswersError(answers, f"line {answer.line} answers frame {answer.of}, which {export} does not have")
-        number, _ = frames[answer.of]
-        if objection := first.objection(answer, number):
+        stamp, _ = frames[answer.of]
+        if contradiction := answer.contradiction(*stamp):
+            faults.append(f"line {answer.line} contradicts itself: {contradiction}")
+        elif objection := first.objection(answer, stamp[0]):
             faults.append(objection)
         else:
-            counted[number] = answer
+            counted[stamp[0]] = answer
     for fault in faults:
         echo_note(f"{answers}: {fault}; not shown")
     placed = [
@@ -239,7 +253,7 @@ class ShownAnswers(IncomingAnswers):
         self, source: str | Path, config: Config, show: "Callable[[PlacedAnswer], None]", report: Callable[[str], None]
     ) -> None:
         super().__init__(source, report)
-        self._clock_offset_s = config.flight.time_offset_s + config.navigator.clock_offset_s
+        self._clock_offset_s = _camera_clock_offset_s(config)
         self._show = show
 
     def take(self, answer: Answer) -> None:

@@ -27,7 +27,7 @@ from glstar.arrays import Float
 from glstar.errors import CatalogueError, reading, reason_of
 from glstar.sky.catalogue import writing
 from glstar.sky.catalogue.published import gaia_content, gunzipped, read_gaia_bin, read_hip_main, read_tycho2
-from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
+from glstar.sky.catalogue.reading import LARGEST, CatalogueFile, StarCatalogue
 from glstar.system.installation import install_command
 from glstar.system.userinput import read_whole, refuse_more
 
@@ -381,6 +381,10 @@ def _written(
     if invalid.any():
         number, vmag = stars.number[invalid][0], stars.vmag[invalid][0]
         raise CatalogueError(sources[0], f"gives number {number} the magnitude {vmag:.1f}")
+    for name, largest in LARGEST.items():
+        values = getattr(stars, name)
+        if (odd := np.abs(values) > largest).any():
+            raise CatalogueError(sources[0], f"gives number {stars.number[odd][0]} a {name} of {values[odd][0]:g}")
     numbers, counts = np.unique(stars.number, return_counts=True)
     if (counts > 1).any():
         raise CatalogueError(sources[0], f"holds number {numbers[counts > 1][0]} twice; give each file once")

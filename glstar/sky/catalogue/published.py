@@ -39,6 +39,8 @@ _SAME_PLACE_RAD = 15 * np.pi / 648000
 
 # Longest line of a published table, bytes: that of Hipparcos has 450.
 _LONGEST_LINE = 1 << 16
+# Larger numbers are no angle, motion or magnitude of a table: a proper motion of 1e12 mas/yr is 770 turns in a year.
+_LARGEST = 1e12
 
 
 def gunzipped(content: bytes) -> bytes:
@@ -82,7 +84,7 @@ def read_hip_main(path: Path) -> CatalogueColumns:
             # Then proper motions, parallax, V and B - V.
             star = [ra, dec, *(_number(fields[k]) for k in (12, 13, 11, 5, 37))]
             numbers.append(int(fields[1]))
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             raise _unreadable(path, row, "hip_main.dat") from error
         values.extend(star)
     ra, dec, pm_ra, pm_dec, parallax, vmag, bv = _columns(path, values, 7)
@@ -120,11 +122,12 @@ def read_tycho2(paths: Sequence[Path], progress: Callable[[Path], None] = lambda
         for row, fields in _records(path, table_lines(path), {_TYC2_FIELDS, _SUPPLEMENT_FIELDS}, "Tycho-2"):
             try:
                 number, star = (_main_star if len(fields) == _TYC2_FIELDS else _supplement_star)(fields)
-            except ValueError as error:
-                raise _unreadable(path, row, "Tycho-2") from error
-            if not np.isnan(star[5]):
+                if np.isnan(star[5]):
+                    continue
                 numbers.append(number)
-                values.extend(star)
+            except (ValueError, OverflowError) as error:
+                raise _unreadable(path, row, "Tycho-2") from error
+            values.extend(star)
     ra, dec, pm_ra, pm_dec, bt, vt, epoch = _columns(paths[0], values, 7)
     vmag, bv = vmag_from_tycho(bt, vt), bv_from_tycho(bt, vt)
     unknown = np.full(len(vmag), np.nan)
@@ -244,9 +247,13 @@ def _records(path: Path, lines: Iterable[bytes], lengths: set[int], what: str) -
 
 
 def _columns(path: Path, values: "array[float]", count: int) -> Float:
+    """Return numbers of the stars as columns, (count, n); NaN where one is blank."""
     if not values:
         raise CatalogueError(path, "holds no star")
-    return np.frombuffer(values).reshape(-1, count).T
+    columns = np.frombuffer(values).reshape(-1, count)
+    if (odd := np.abs(columns) > _LARGEST).any():
+        raise CatalogueError(path, f"holds the number {columns[odd][0]:g}, which no star has")
+    return columns.T
 
 
 def _number(field: bytes) -> float:

@@ -106,6 +106,29 @@ class CatalogueRow(NamedTuple):
     radial_velocity_m_per_s: float | None = None
 
 
+_NUMBER = frozenset({float, int})
+# Types of a column's values, of a damaged file or a stranger's too; `_NUMBER` for the others.
+_TYPES: Mapping[str, frozenset[type]] = {
+    "number": frozenset({int}),
+    "name": frozenset({str}),
+    "designation": frozenset({str}),
+    "bv": _NUMBER | {type(None)},
+    "radial_velocity_m_per_s": _NUMBER | {type(None)},
+}
+# Largest sizes of a column's values; larger ones are no stars, and overflow.
+LARGEST: Mapping[str, float] = {
+    "number": 2**31 - 1,
+    "ra_rad": 2 * np.pi,
+    "dec_rad": np.pi / 2,
+    "pm_ra_cosdec_rad_per_yr": 1.0,
+    "pm_dec_rad_per_yr": 1.0,
+    "vmag": 100.0,
+    "bv": 100.0,
+    "parallax_rad": 1.0,
+    "radial_velocity_m_per_s": 3e8,
+}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StarCatalogue:
     """Stars of a catalogue, the brightest first; stars of equal magnitude are sorted by number.
@@ -203,6 +226,8 @@ class StarCatalogue:
             facts = connection.execute(
                 "SELECT count(*), min(number), max(number), min(vmag), max(vmag) FROM star"
             ).fetchone()
+            if facts[0] and not (set(map(type, facts[:3])) == {int} and set(map(type, facts[3:])) <= {int, float}):
+                raise sqlite3.DataError("a star has a number or a magnitude of another type")
         if facts[0] == 0:
             raise CatalogueError(
                 path, "is a glstar catalogue without a star; build it again with `glstar sky catalogue build`"
@@ -275,7 +300,7 @@ class CatalogueFile:
         rows: list[CatalogueRow] = []
         with _reading(self.path) as connection:
             for box in _boxes(axis, radius_rad):
-                rows += map(CatalogueRow._make, _query(connection, _within(*box), (*box, float(vmag))))
+                rows += _rows(_query(connection, _within(*box), (*box, float(vmag))))
         directions = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
         # The arc cosine of the dot product would lose arcseconds at small angles.
         angle_rad = np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=-1), directions @ axis)
@@ -292,7 +317,7 @@ class CatalogueFile:
         with _reading(self.path) as connection:
             for start in range(0, len(numbers), _NUMBERS_AT_ONCE):
                 part = numbers[start : start + _NUMBERS_AT_ONCE]
-                rows += map(CatalogueRow._make, _query(connection, _BY_NUMBER.format(",".join("?" * len(part))), part))
+                rows += _rows(_query(connection, _BY_NUMBER.format(",".join("?" * len(part))), part))
         missing = sorted(set(numbers) - {row.number for row in rows})
         if missing:
             raise CatalogueError(self.path, self._lacks(missing))
@@ -401,9 +426,24 @@ def _within(west: float, east: float, south: float, north: float) -> str:
     return _WITHIN_BY_RA if lune < zone else _WITHIN_BY_DEC
 
 
-def _stars(catalogue: str, rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
-    """Return rows of `_COLUMNS` as arrays, the brightest first, then by number."""
-    ordered = sorted(map(CatalogueRow._make, rows), key=lambda row: (row.vmag, row.number))
+def _rows(found: Iterable[tuple[object, ...]]) -> list[CatalogueRow]:
+    """Return rows of `_COLUMNS`; raise sqlite3.DataError if a value has not the type of its column, or is too large.
+
+    SQLite returns what a file has, whatever its tables declare.
+    """
+    rows = list(map(CatalogueRow._make, found))
+    for name, values in zip(CatalogueRow._fields, zip(*rows, strict=True), strict=bool(rows)):
+        if not set(map(type, values)) <= _TYPES.get(name, _NUMBER):
+            raise sqlite3.DataError(f"a star has a {name} of another type")
+        sizes = [0, *filter(None, values)] if name in LARGEST else [0]
+        if max(sizes) > LARGEST.get(name, 0) or -min(sizes) > LARGEST.get(name, 0):
+            raise sqlite3.DataError(f"a star has a {name} of more than {LARGEST[name]:g}")
+    return rows
+
+
+def _stars(catalogue: str, rows: Iterable[CatalogueRow]) -> StarCatalogue:
+    """Return rows as arrays, the brightest first, then by number."""
+    ordered = sorted(rows, key=lambda row: (row.vmag, row.number))
     columns = list(zip(*ordered, strict=True)) or [()] * len(CatalogueRow._fields)
     ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = (np.array(values, np.float64) for values in columns[3:])
     return StarCatalogue(
@@ -426,7 +466,7 @@ def _many_stars(catalogue: str, cursor: sqlite3.Cursor) -> StarCatalogue:
     cursor.row_factory = None
     parts = []
     while rows := cursor.fetchmany(_ROWS_AT_ONCE):
-        parts.append(_stars(catalogue, rows))
+        parts.append(_stars(catalogue, _rows(rows)))
     if len(parts) == 1:
         return parts[0]
     if not parts:
