@@ -367,35 +367,37 @@ def _angles_rad(q1: Float, q2: Float) -> Float:
     return np.asarray(4 * np.arcsin(np.minimum(chord / 2, 1.0)))
 
 
+# Regular expressions of many words are compiled when they are first used, which takes 30 ms.
+
 # Words of topics that say where a vehicle should be, or where something else is; the longer ones also within a word.
-_PLANNED = re.compile(
+_PLANNED = (
     r".*(setpoint|waypoint|goal|target|desired|command|reference|planned).*|cmd|sp|ref|plans?|planner|trajectory|path"
     r"|mission|home|origin|offset|initial|initialpose|clicked|teleop|joy|markers?|tags?|aruco|apriltags?|landing|takeoff"
     r"|predict(ed|ion)|station|beacon|dock|des|demand(ed)?|nominal|wanted|intended|wps?|traj|tgt|setpt|carrot|lookahead"
     r"|rally|next|traffic|intruder|adsb|obstacles?|detect(ed|ions?)?|objects?|person|people|pad|gcs"
     r"|requests?|requested|hover|hold|rtl|rth|roi|poi|look_?at|lookat|launch|fence|geofence|virtual"
 )
-_GIMBAL = re.compile("gimbal|mount|turret|ptu|pantilt")
+_GIMBAL = "gimbal|mount|turret|ptu|pantilt"
 # Topics below mavros that are sent to the autopilot: estimates of other programs, and simulated sensors.
 _MAVROS_INPUT = re.compile("vision|vision_pose|vision_speed|mocap|fake_gps|hil|hil_.*|gps_input|gps_rtk")
 # Nodes that are the interface of an autopilot.
 INTERFACE = re.compile("mavros|fmu|ap|dji_sdk|dji_osdk_ros|psdk_ros2|autopilot|fcu")
 # Words of sensors other than that of the aircraft's attitude.
-DEVICE = re.compile(
+DEVICE = (
     "cam|camera|realsense|d4[0-9]*i?|t265|l515|zed.?|oakd?|stereo|depth|infra|lidar|laser|livox|avia|ouster|os.?|velodyne"
     "|hesai|rslidar|radar|leica|phone|event|dvs|sonar|uwb"
 )
 # Words of parts of a vehicle: as the first part of a topic, none of them is a vehicle.
-PART = re.compile(
-    f"{DEVICE.pattern}|imus?|ahrs|ins|gps|gnss|rtk|navsat|navsatfix|fix|mag|compass|baro|sensors?|devices?|platform|nav"
+PART = (
+    f"{DEVICE}|imus?|ahrs|ins|gps|gnss|rtk|navsat|navsatfix|fix|mag|compass|baro|sensors?|devices?|platform|nav"
     "|navigation|localization|odom|odometry|ekf|ukf|filter|filtered|raw|state|estimator|fusion|slam|vio|lio|tf|left|right"
     "|front|rear|back|top|bottom|up|down|primary|secondary|main|backup|aux|antenna|receiver|rover|base|port|channel|lane"
     "|instance|vectornav|vn|xsens|mti|microstrain|gx|sbg|ellipse|novatel|ublox|septentrio|applanix|oxts|lord|adis|bno|mpu"
     "|phidgets|pixhawk|trimble|piksi|emlid|vicon|optitrack|mocap|vrpn|qualisys|ground|truth|sim|gazebo|topic|data"
 )
 # A part of a topic that is a vehicle by its name: uav, drone_1, leader.
-OF_GPS = re.compile("gps|gnss|pps|utc|mavros|fcu|ublox")
-_VEHICLE = re.compile(
+OF_GPS = "gps|gnss|pps|utc|mavros|fcu|ublox"
+_VEHICLE = (
     r"(uav|uas|drone|robot|quad|quadrotor|quadcopter|copter|multirotor|hexacopter|octocopter|vtol|plane|aircraft"
     r"|vehicle|agent|ugv|usv|uuv|boat|leader|follower|wingman|alpha|bravo|charlie|delta|mav|px4)([_-]?\d+|[_-][a-z])?"
 )
@@ -410,9 +412,9 @@ def words_of(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def has_word(words: re.Pattern[str], name: str) -> bool:
-    """Return whether a topic or a frame has one of some words."""
-    return any(map(words.fullmatch, {*words_of(name), *re.split("[^a-z0-9]+", name.lower())}))
+def has_word(words: str, name: str) -> bool:
+    """Return whether a topic or a frame has one of some words, a regular expression."""
+    return any(map(re.compile(words).fullmatch, {*words_of(name), *re.split("[^a-z0-9]+", name.lower())}))
 
 
 def purpose_of(name: str) -> str:
@@ -455,7 +457,7 @@ def vehicles_of(kinds: Mapping[str, str]) -> dict[str, str]:
                 break
             if has_word(PART, part):
                 continue
-            if _VEHICLE.fullmatch(part.lower()) or INTERFACE.fullmatch(path[depth + 1]):
+            if re.fullmatch(_VEHICLE, part.lower()) or INTERFACE.fullmatch(path[depth + 1]):
                 found.add(part)
             stem = _NUMBERED.fullmatch(part.lower())
             if stem is not None and (stem[1] or not depth or not has_word(PART, path[depth - 1])):
