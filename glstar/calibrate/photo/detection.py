@@ -30,9 +30,13 @@ _PARTS = 4
 _STARLESS_QUANTILE = 0.97
 _MIN_PIXELS = 100
 # A tile outside the image circle of a lens is darker than this part of the sky, and by this many standard deviations of
-# its noise; the sky is the brightest fifth of the tiles.
+# its noise; the sky is the brightest fifth of the tiles.  Tiles are bright above this part; this fraction of their
+# number may be neither, and this fraction of both must be inside and outside of a disc.
 _BLACK = 0.1
 _BLACK_SIGMA = 5.0
+_BRIGHT = 0.33
+_MOST_BETWEEN = 0.5
+_LEAST_DISC = 0.93
 _USUAL_QUANTILE = 0.8
 
 
@@ -74,11 +78,25 @@ def background_of(image_dn: Float) -> Background:
 
 
 def _lit_tiles(level: Float, noise: Float) -> Mask:
-    """Return which tiles a lens casts light on: all but those that are black beside a sky far above its noise."""
+    """Return which tiles a lens casts light on: all but those outside of an image circle.
+
+    They are black beside a sky far above its noise, in all four corners, and around a disc that ends within few tiles:
+    a sky is dark beside the Earth's limb on one side, and beside the glare of the Moon gradually.
+    """
     usual = level >= np.quantile(level, _USUAL_QUANTILE)
     usual_dn, usual_noise_dn = float(np.median(level[usual])), float(np.median(noise[usual]))
     is_black = (level < _BLACK * usual_dn) & (usual_dn - level > _BLACK_SIGMA * usual_noise_dn)
-    return np.asarray(~is_black)
+    is_bright = level > _BRIGHT * usual_dn
+    between = np.count_nonzero(~is_black & ~is_bright)
+    if not is_black[[0, 0, -1, -1], [0, -1, 0, -1]].all() or between > _MOST_BETWEEN * np.count_nonzero(is_bright):
+        return np.ones_like(is_black)
+    row, column = np.mgrid[: level.shape[0], : level.shape[1]]
+    from_middle = np.hypot(row - row[is_bright].mean(), column - column[is_bright].mean()).ravel()
+    # The disc that has most bright tiles inside and black ones outside.
+    order = np.argsort(from_middle, kind="stable")
+    right = np.cumsum(is_bright.ravel()[order]) + is_black.sum() - np.cumsum(is_black.ravel()[order])
+    is_disc = right.max() > _LEAST_DISC * (is_black.size - between)
+    return np.asarray(~is_black) if is_disc else np.ones_like(is_black)
 
 
 def tile_statistics(image: Float) -> tuple[Float, Float]:
