@@ -23,6 +23,7 @@ _CLIPPED_STD = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3
 _ROUNDING_DN2 = 1 / 12
 # From this fraction of pixels at 0 on, the background is clipped and a truncated Gaussian is fitted.
 _CLIPPED_FRACTION = 0.005
+# A sky this far above 0, standard deviations of its noise, has no pixel at 0.
 _CLIPPED_SIGMA = 4.0
 # The fit divides the image into this many parts in x and in y, and uses each up to this quantile: brighter pixels
 # are stars.
