@@ -11,7 +11,7 @@ from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.readout.rows import recorded_positions, recorded_times
 from glstar.render.simulator import Simulator
-from glstar.render.truth import peaks as brightestpoints
+from glstar.render.truth import brightest
 from glstar.render.truth.peaks import trail_peaks
 from glstar.render.truth.statistics import TrailStatistics
 from glstar.rotation import quaternion_from_euler
@@ -26,11 +26,11 @@ SAMPLES, STEP, STARS = 2400, 8, 24
 _CLIMBED, _STEPS = 40, 30
 
 
-def shaken(deg: float, seed: int) -> Simulator:
+def shaken(deg: float, seed: int, turn_deg_per_s: tuple[float, float, float] = (8.0, -3.0, 5.0)) -> Simulator:
     """Return an aircraft that turns at some deg/s and swings by some degrees at three frequencies about each axis."""
     random, t = np.random.default_rng(seed), np.arange(0.0, 1.0, 0.02)
     rate_hz, phase = random.uniform(2, 8, (3, 3, 1)), random.uniform(0, 6, (3, 3, 1))
-    angles_deg = deg * np.sin(2 * np.pi * rate_hz * t + phase).sum(axis=1) + np.outer([8.0, -3.0, 5.0], t)
+    angles_deg = deg * np.sin(2 * np.pi * rate_hz * t + phase).sum(axis=1) + np.outer(turn_deg_per_s, t)
     track = AttitudeTrack.from_samples(NIGHT_UTC_S + t, quaternion_from_euler(*np.deg2rad(angles_deg)))
     still = sky_over_adelaide(LENS)
     return Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), still.sky, LENS, Mount(), still.sensor)
@@ -126,6 +126,43 @@ def test_stars_beside_the_border_are_brightest_on_it() -> None:
     assert np.quantile(area_errors, 0.9) < 0.05
 
 
+@pytest.mark.parametrize("deg", [0.0, 0.03, 0.1, 0.3, 1.0])
+def test_light_on_the_image_of_stars_that_shake_on_its_border_is_that_of_the_pixels(deg):
+    """A star that stays within some sigma of the border shares most of its light with itself beside the image."""
+    errors = []
+    for seed in (1, 2):
+        simulator = shaken(deg, seed, (0.0, 0.0, 0.0))
+        scene = simulator.scene(EXPOSURE)
+        statistics = TrailStatistics(scene)
+        across = np.flatnonzero((statistics.on_image > 0.05) & (statistics.on_image < 1))
+        if not deg:  # and stars at rest: all of their path is on the image, a part of the light is not
+            (centre_px,) = scene.camera.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq[scene.visible]))
+            outside_px = scene.camera.distance_outside_px(centre_px)
+            across = np.flatnonzero((outside_px < 0) & (outside_px > -2 * scene.sensor.effective_sigma_px))
+        listed_eq = scene.stars.direction_eq[scene.visible[across]]
+        peaks, sigma_px = trail_peaks(scene, listed_eq), scene.sensor.effective_sigma_px
+        exact = simulator.scene(replace(EXPOSURE, path_tolerance_px=0.0))
+        paths_px = recorded_positions(exact, listed_eq, (np.arange(SAMPLES) + 0.5) / SAMPLES)
+        for star, path_px in enumerate(np.moveaxis(paths_px, 1, 0)):
+            square_per_px2 = statistics.on_image[across[star]] / peaks.area_px2[star]
+            errors.append(np.sqrt(square_per_px2 / pixels_of_path(path_px, sigma_px)) - 1)
+
+    assert len(errors) >= 4
+    assert np.median(np.abs(errors)) < 0.005
+    assert np.max(np.abs(errors)) < 0.02
+
+
+def pixels_of_path(path_px: np.ndarray, sigma_px: float) -> float:
+    """Return the sum over the pixels of the squared signal of a path over its flux, 1/px^2."""
+    low, high = np.clip([path_px.min(axis=0) - 6 * sigma_px, path_px.max(axis=0) + 7 * sigma_px], 0, LAST_PX + 0.5)
+    across, down = (
+        np.exp((np.arange(int(low[axis]), int(high[axis])) - path_px[:, axis, None]) ** 2 / (-2 * sigma_px**2))
+        for axis in (0, 1)
+    )
+    image = down.T @ across / (2 * np.pi * sigma_px**2 * len(path_px))
+    return float((image * image).sum())
+
+
 @pytest.mark.parametrize(("duration_s", "within"), [(0.5, 0.003), (2.0, 0.01), (6.0, 0.02)])
 def test_the_noise_of_long_exposures_with_gusts_and_vibration_is_that_of_brute_force(duration_s, within):
     """Paths of 200 to 2400 lines: groups of them are as wide as the vibration."""
@@ -177,10 +214,12 @@ def test_lines_far_beside_the_image_leave_finite_signals() -> None:
     rng = np.random.default_rng(3)
     step_px = rng.normal(0, 6e4, (2, 50, 40))
     middle_px = np.cumsum(step_px, axis=1) - step_px / 2
-    lines = brightestpoints._Lines(middle_px, step_px, np.full((50, 40), 0.02))
+    lines = brightest._Lines(middle_px, step_px, np.full((50, 40), 0.02))
 
     with np.errstate(all="raise", under="ignore"):
-        narrow, wide = brightestpoints._signals_and_overlaps(lines, 1.2, np.ones((50, 40), np.bool_))
+        narrow, wide = brightest._signals_and_overlaps(
+            lines, brightest._as_gaussians(lines, 1.2), 1.2, np.ones((50, 40), np.bool_)
+        )
 
     # A line of its own: its light per length; 50 lines cross rarely.
     length_px = np.hypot(*step_px)

@@ -31,23 +31,30 @@ class Gaussians(NamedTuple):
     b: Float32
     c: Float32
     height: Float32
+    half: Float32  # (2, n, m) half of their extents along x and y
+
+    def light(self, line: NDArray[np.intp], star: NDArray[np.intp]) -> Float32:
+        """Return the light of all lines of some stars at a middle of each, (n, p) for (p,) both."""
+        x, y = (middle[line, star] - middle[:, star] for middle in (self.x, self.y))
+        a, b, c, height = (each[:, star] for each in self[2:6])
+        return height * _exponential(a * x * x + b * x * y + c * y * y)
 
 
-def light_sums(lines: Gaussians, half: Float32, is_needed: NDArray[np.bool_]) -> tuple[Float32, Float32]:
+def light_sums(lines: Gaussians, is_needed: NDArray[np.bool_]) -> tuple[Float32, Float32]:
     """Return the sums of Gaussians, and of their squares over their heights, at each middle, (n, m) both.
 
-    `half` (2, n, m): half of their extents along x and y; `is_needed` (n, m): at which middles.
+    `is_needed` (n, m): at which middles.
     """
     count, stars = lines.x.shape
-    longest = np.sqrt(np.square(half).sum(axis=0)).max(axis=0, initial=0.0)
+    longest = np.sqrt(np.square(lines.half).sum(axis=0)).max(axis=0, initial=0.0)
     at_once = max(1, PAIRS_AT_ONCE // count)
     both = np.empty((2, count, stars), np.float32)
     for first in range(0, stars, at_once):
         some = slice(first, first + at_once)
-        part = Gaussians(*(np.ascontiguousarray(each[:, some]) for each in lines))
+        part = Gaussians(*(np.ascontiguousarray(each[..., some]) for each in lines))
         sums = _of_neighbours(part, float(longest[some].max()))
         if count > 2 * _BLOCK_LINES:
-            _add_returning(sums, part, half[:, :, some], is_needed[:, some])
+            _add_returning(sums, part, is_needed[:, some])
         both[:, :, some] = sums
     return both[0], both[1]
 
@@ -71,7 +78,7 @@ def _of_neighbours(lines: Gaussians, longest: float) -> Float32:
         first = first[some] if isinstance(first, np.ndarray) else some
         xx, xy, yy = xx[some], np.multiply(x, y, out=x)[some], yy[some]
         for to, of in ((0, separation), (separation, 0)):
-            a, b, c, height = (each[of:][first] for each in lines[2:])
+            a, b, c, height = (each[of:][first] for each in lines[2:6])
             light = a * xx
             light += b * xy
             light += c * yy
@@ -83,10 +90,10 @@ def _of_neighbours(lines: Gaussians, longest: float) -> Float32:
     return sums
 
 
-def _add_returning(sums: Float32, lines: Gaussians, half: Float32, is_needed: NDArray[np.bool_]) -> None:
+def _add_returning(sums: Float32, lines: Gaussians, is_needed: NDArray[np.bool_]) -> None:
     """Add the light of blocks that are near without being neighbours, because a path returns or crosses itself."""
     count, stars = lines.x.shape
-    star, target, source = _near_blocks(lines, half, is_needed)
+    star, target, source = _near_blocks(lines, is_needed)
     within = np.arange(_BLOCK_LINES)[:, np.newaxis]
     at_once = PAIRS_AT_ONCE // _BLOCK_LINES**2
     for begin in range(0, len(star), at_once):
@@ -97,7 +104,7 @@ def _add_returning(sums: Float32, lines: Gaussians, half: Float32, is_needed: ND
         to, of = (np.minimum(line, count - 1) * stars + star[some] for line in (to, of))
         # The pairs of blocks are the last axis: loops over a few lines are slow.
         x, y = (each.take(to)[:, np.newaxis] - each.take(of) for each in (lines.x, lines.y))
-        a, b, c, height = (each.take(of) for each in lines[2:])
+        a, b, c, height = (each.take(of) for each in lines[2:6])
         height *= is_line
         exponent = b * x
         exponent *= y
@@ -118,14 +125,14 @@ def _add_returning(sums: Float32, lines: Gaussians, half: Float32, is_needed: ND
 
 
 def _near_blocks(
-    lines: Gaussians, half: Float32, is_needed: NDArray[np.bool_]
+    lines: Gaussians, is_needed: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return the stars, blocks that need light and blocks near them, but not next to them, (p,) each."""
     starts = np.arange(0, len(lines.x), _BLOCK_LINES)
     needed = np.logical_or.reduceat(is_needed, starts, axis=0).T
     number = np.arange(len(starts))
     is_near = needed[:, :, np.newaxis] & (np.abs(number[:, np.newaxis] - number) > 1)
-    for middle, extent in zip((lines.x, lines.y), half, strict=True):
+    for middle, extent in zip((lines.x, lines.y), lines.half, strict=True):
         low = np.minimum.reduceat(middle - extent, starts, axis=0).T
         high = np.maximum.reduceat(middle + extent, starts, axis=0).T
         is_reached = low[:, :, np.newaxis] < high[:, np.newaxis] + np.float32(FAR_SIGMA / sqrt(2))
