@@ -105,17 +105,17 @@ def test_the_pieces_of_paths_are_the_paths_a_few_segments_at_a_time(segments, sp
     np.testing.assert_allclose(sum(map(weighted_sum_px, pieces)), weighted_sum_px(paths), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("finer", [1, 3])
-def test_samples_of_single_segments_are_those_of_the_whole_paths(finer):
+@pytest.mark.parametrize(("finer", "least"), [(1, 1), (3, 1), (2, 30)])
+def test_samples_of_single_segments_are_those_of_the_whole_paths(finer, least):
     paths = random_paths(7)
     fine = replace(paths, spacing_px=paths.spacing_px)
-    vars(fine)["sample_counts"] = finer * paths.sample_counts
+    vars(fine)["sample_counts"] = np.maximum(finer * paths.sample_counts, least)
     xy, time_fraction = all_samples(fine)
     change = np.gradient(xy[..., 0], axis=0)
     ends = np.cumsum(fine.sample_counts)
     # The first segment of a star and the last one have a neighbour on one side only.
     segment, star = np.array([0, 2, 2, 6]), np.array([5, 1, 9, 30])
-    (samples,) = paths.segment_samples(segment, star, finer)
+    (samples,) = paths.segment_samples(segment, star, finer, least)
     own = np.concatenate([np.arange(ends[k] - fine.sample_counts[k], ends[k]) for k in segment])
     np.testing.assert_array_equal(samples.star, np.repeat(star, fine.sample_counts[segment]))
     np.testing.assert_allclose(samples.xy_px[samples.own], xy[own, samples.star], rtol=0, atol=1e-9)

@@ -208,16 +208,16 @@ class ConicPaths:
         """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
         if not stars.size:
             return
-        quadratics, times = self._quadratics(stars), self._times(1)
+        quadratics, times = self._quadratics(stars), self._times()
         parameter, block_size = self._parameters(times), times_per_block(len(stars))
         for start in range(0, len(times.segment), block_size):
             block = slice(start, start + block_size)
             vectors = _quadratic(quadratics, times.segment[block], parameter[block])
             yield self.camera.project(vectors.transpose(1, 2, 0)), times.time_fraction[block]
 
-    def _times(self, finer: int) -> "_SampleTimes":
-        """Return the times of all samples, each segment divided `finer` times as finely as `sample_counts` says."""
-        counts = finer * self.sample_counts
+    def _times(self, finer: int = 1, least: int = 1) -> "_SampleTimes":
+        """Return the times of all samples, `finer` times as many as `sample_counts` says, and some of each segment."""
+        counts = np.maximum(finer * self.sample_counts, least)
         segment = np.repeat(np.arange(len(counts)), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts)
         elapsed = (np.arange(len(segment)) - first + 0.5) / counts[segment]
@@ -227,12 +227,12 @@ class ConicPaths:
         return parameter_at(times.elapsed, self.weight[times.segment])
 
     def segment_samples(
-        self, segment: NDArray[np.intp], star: NDArray[np.intp], finer: int
+        self, segment: NDArray[np.intp], star: NDArray[np.intp], finer: int, least: int
     ) -> Iterator["SegmentSamples"]:
         """Yield the samples of some segments of some stars, (p,) both, some of them at a time: see `_times`."""
         if not len(segment):
             return
-        times = self._times(finer)
+        times = self._times(finer, least)
         u, begins = self._parameters(times), np.cumsum(times.time_fraction) - times.time_fraction
         basis = (1 - u) * (1 - 2 * u), 4 * u * (1 - u), u * (2 * u - 1)
         nodes = [of.reshape(3, -1) for of in self._weighted]

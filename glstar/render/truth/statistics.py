@@ -12,8 +12,10 @@ from glstar.render.scene.scene import Scene
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
-# Samples of the path of a star that crosses the border of the image, for each that its length demands: it may shake.
-_FINER = 8
+# Samples of the path of a star that crosses the border of the image, for each that its length demands, and of a segment
+# at least: it may shake and turn there.
+_FINER = 4
+_LEAST_SAMPLES = 16
 # Side of the cells in which saturated pixels are counted, px.
 _CELL_PX = 32
 
@@ -69,7 +71,7 @@ class TrailStatistics:
     ) -> None:
         """Add samples of segments of stars, (p,) both, while a rolling shutter records them in a part of its time."""
         count, radius_px = len(self.touching), scene.listed.truncation_radius_px
-        for samples in paths.segment_samples(segment, star, _FINER):
+        for samples in paths.segment_samples(segment, star, _FINER, _LEAST_SAMPLES):
             owner, weight = samples.star, samples.time_fraction
             outside_px, step_px = samples.own_values(scene.camera.distance_outside_px(samples.xy_px))
             touching, on_image = _parts_within(outside_px, step_px, radius_px[owner])
