@@ -85,9 +85,15 @@ def made(renderer, directory: Path, size: str = "small", **changes: Any) -> Made
     return make_set(replace(tiny, **changes), size, directory, SerialExecutor(renderer), **ignored)
 
 
+@pytest.fixture(scope="module")
+def drawn(renderer, tmp_path_factory) -> MadeSet:
+    return made(renderer, tmp_path_factory.mktemp("drawn") / "set")
+
+
 @pytest.fixture
-def tiny(renderer, tmp_path) -> MadeSet:
-    return made(renderer, tmp_path / "set")
+def tiny(drawn, tmp_path) -> MadeSet:
+    """Return a copy of the set, which a test may change."""
+    return replace(drawn, directory=Path(shutil.copytree(drawn.directory, tmp_path / "set")))
 
 
 def files(directory: Path) -> dict[str, bytes]:
