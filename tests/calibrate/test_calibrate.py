@@ -38,6 +38,7 @@ from tests.support.starphotos import ALL_STARS, EXPOSURE_S, StarPhoto
 PHOTOS = Path(__file__).parents[3] / "shared" / "images"
 REAL = pytest.mark.skipif(not PHOTOS.exists(), reason="the photographs are not on this machine")
 
+pytestmark = pytest.mark.usefixtures("kept_patterns")
 SENSORS = {
     "a dark sky": Sensor(reference_peak_dn=1500.0, psf_sigma_px=1.2),
     "a sharp lens": Sensor(reference_peak_dn=1500.0, psf_sigma_px=0.6, sky_mean_dn=30.0),
@@ -45,11 +46,6 @@ SENSORS = {
     "a bright sky": Sensor(reference_peak_dn=1500.0, psf_sigma_px=1.0, sky_mean_dn=60.0, sky_std_dn=5.0),
     "sixteen bits": Sensor(reference_peak_dn=2e5, psf_sigma_px=1.0, sky_mean_dn=900.0, sky_std_dn=60.0, bit_depth=16),
 }
-
-
-@pytest.fixture(autouse=True)
-def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
 @cache

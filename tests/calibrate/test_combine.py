@@ -191,11 +191,8 @@ def test_two_cameras_are_not_combined() -> None:
         combine((one, deeper))
 
 
-def test_the_command_takes_several_images(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_takes_several_images(tmp_path: Path, kept_patterns: None) -> None:
     pytest.importorskip("tetra3rs")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
     images = []
     for drawn, found in three()[:2]:
         images.append(str(tmp_path / found.image.path.name))

@@ -30,13 +30,9 @@ from tests.support.plainphotos import (
 from tests.support.starphotos import ALL_STARS
 
 pytest.importorskip("tetra3rs")
+pytestmark = pytest.mark.usefixtures("kept_patterns")
 # True focal length of the all-sky lens, px: r = f theta, and the circle ends 4 px inside the image.
 ALL_SKY_F_PX = 496 / (np.pi / 2)
-
-
-@pytest.fixture(autouse=True)
-def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
 def recognised(photo: PlainPhoto, fov_deg: float) -> tuple[DetectedStars, Matches]:

@@ -15,6 +15,7 @@ from glstar.config import Config
 from glstar.errors import CalibrationError
 from tests.support.plainphotos import all_sky
 
+pytestmark = pytest.mark.usefixtures("kept_patterns")
 SETTINGS = """
 [camera]
 width_px = 800
@@ -52,11 +53,6 @@ def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert drawn.exit_code == 0, drawn.output
     return directory
-
-
-@pytest.fixture(autouse=True)
-def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
 def calibrated(ground: Path, output: Path, *arguments: str | Path) -> dict:

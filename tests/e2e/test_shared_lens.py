@@ -70,9 +70,8 @@ def off_px(camera: Camera) -> float:
     return float(np.linalg.norm(camera.project(true @ C.T) - grid, axis=1).max())
 
 
-def test_four_rendered_images_give_one_lens_with_smaller_errors(frames, tmp_path, monkeypatch) -> None:
+def test_four_rendered_images_give_one_lens_with_smaller_errors(frames, tmp_path, kept_patterns) -> None:
     pytest.importorskip("tetra3rs")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path.parent / "cache"))
 
     result = run(
         *("camera", "calibrate", *frames, "--fov", "43", "--exposure", "0.5", "-o", tmp_path / "c.toml", *SITE),

@@ -62,9 +62,8 @@ def left_to_right_deg(camera: Camera) -> float:
 
 
 @pytest.mark.parametrize("model", WIDE)
-def test_the_camera_of_a_wide_lens_is_recovered_to_the_corners(tmp_path, monkeypatch, model) -> None:
+def test_the_camera_of_a_wide_lens_is_recovered_to_the_corners(tmp_path, kept_patterns, model) -> None:
     pytest.importorskip("tetra3rs")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path.parent / "cache"))
     hidden = WIDE[model]
     image, truth = exported(tmp_path, hidden)
 

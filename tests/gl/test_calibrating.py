@@ -16,10 +16,9 @@ from tests.bench.calibration import Kind, photo_of, recovered
         (Kind(fov_deg=60.0, sigma_px=3.0, sky_dn=16.0, bit_depth=8, seed=50), False),
     ],
 )
-def test_a_hidden_camera_is_recovered_within_tolerances(renderer, kind, lost, tmp_path_factory, monkeypatch) -> None:
+def test_a_hidden_camera_is_recovered_within_tolerances(renderer, kind, lost, kept_patterns) -> None:
     """Sigma and sky within 2 %, peak within 0.05 mag, f within 0.1 %, attitude within 20", 95 % found, none false."""
     if lost:
         pytest.importorskip("tetra3rs")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
     result = recovered(photo_of(kind, renderer), kind, lost=lost)
     assert result.is_accurate, result

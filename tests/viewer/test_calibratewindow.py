@@ -26,9 +26,8 @@ DRAWN = {
 
 
 @pytest.fixture
-def photograph(tmp_path, tmp_path_factory, monkeypatch):
-    """Draw a photograph from an aircraft at rest; patterns of stars are kept with the tests."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+def photograph(tmp_path, kept_patterns):
+    """Draw a photograph from an aircraft at rest."""
     log = write_flight(tmp_path / "still.csv", yaw_rate_deg_per_s=0.0)
     with GLRenderer.headless() as renderer:
         config = Config().override(**DRAWN)
