@@ -43,7 +43,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glstar.arrays import Float
+from glstar.arrays import Float, joined
 from glstar.errors import CalibrationError
 
 Coefficients = tuple[float, ...]
@@ -459,11 +459,11 @@ class Lens:
         return direction.reshape(*points.shape[:-1], 3)
 
     def _projected(self, direction: Float, rate: Float | None) -> tuple[Float, Float | None]:
-        x, y, z = np.moveaxis(direction, -1, 0)
+        x, y, z = (direction[..., k] for k in range(3))
         rho2 = x * x + y * y
         within = z > (np.cos(self.limit_rad) + _LIMIT_MARGIN) * np.sqrt(rho2 + z * z)
         z = np.where(within, z, np.nan)
-        change = None if rate is None else tuple(np.moveaxis(rate, -1, 0))
+        change = None if rate is None else tuple(rate[..., k] for k in range(3))
         if LENS_MODELS[self.model].radius is None:
             x, y = x / z, y / z
             if change is not None:
@@ -476,8 +476,8 @@ class Lens:
                 xx, xy, yx, yy = _brown_jacobian(brown, x, y)
                 change = xx * change[0] + xy * change[1], yx * change[0] + yy * change[1]
             x, y = _brown_point(brown, x, y)
-        point = np.stack([x, y], axis=-1)
-        point_rate = None if change is None else np.stack(change, axis=-1)
+        point = joined(x, y)
+        point_rate = None if change is None else joined(change[0], change[1])
         if not any(brown[12:]):
             return point, point_rate
         homography = tilt_homography(brown)

@@ -8,7 +8,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.arrays import Float
+from glstar.arrays import Float, joined
 from glstar.camera.distortion import Lens
 from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_euler
@@ -136,7 +136,8 @@ class Camera:
         """
         direction = np.asarray(direction_camera, dtype=np.float64)
         if self.lens is not None:
-            return self._pixels(*np.moveaxis(self.lens.project(direction), -1, 0))
+            point = self.lens.project(direction)
+            return self._pixels(point[..., 0], point[..., 1])
         x, y, _ = _tangents(direction)
         return self._pixels(x, y)
 
@@ -160,11 +161,11 @@ class Camera:
         direction, change = np.asarray(direction_camera, dtype=np.float64), np.asarray(rate, dtype=np.float64)
         if self.lens is not None:
             point, point_rate = self.lens.project_with_rates(direction, change)
-            (x, y), (x_rate, y_rate) = np.moveaxis(point, -1, 0), np.moveaxis(point_rate, -1, 0)
+            x, y, x_rate, y_rate = (one[..., k] for one in (point, point_rate) for k in range(2))
         else:
             x, y, z = _tangents(direction)
             x_rate, y_rate = (change[..., 0] - x * change[..., 2]) / z, (change[..., 1] - y * change[..., 2]) / z
-        rate_px = np.stack([self.fx_px * x_rate + self.skew_px * y_rate, self.fy_px * y_rate], axis=-1)
+        rate_px = joined(self.fx_px * x_rate + self.skew_px * y_rate, self.fy_px * y_rate)
         return np.broadcast_to(self._pixels(x, y), rate_px.shape), rate_px
 
     def px_per_rad(self, direction_camera: ArrayLike) -> Float:
@@ -218,7 +219,7 @@ class Camera:
         """
         xy = np.asarray(xy_px, dtype=np.float64)
         y = (xy[..., 1] - self.cy_px) / self.fy_px
-        return np.stack([(xy[..., 0] - self.cx_px - self.skew_px * y) / self.fx_px, y], axis=-1)
+        return joined((xy[..., 0] - self.cx_px - self.skew_px * y) / self.fx_px, y)
 
     def unit_vectors(self, xy_px: ArrayLike) -> Float:
         """Return the directions of pixel positions: the inverse of `project`.

@@ -25,7 +25,7 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
     derivatives of pixels are those by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad (n, 2, 3).
     """
     xy, by_turn = camera.project_with_rates(direction_camera, _turned_about_axes(direction_camera))
-    return camera.normalized(xy[0]), np.moveaxis(by_turn, 0, -1)
+    return camera.normalized(xy[0]), by_turn.transpose(1, 2, 0)
 
 
 def _turned_about_axes(direction: Float) -> Float:
