@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -69,14 +70,23 @@ def _expanded(file: str, generated: Mapping[str, str], included: set[str] | None
     """Return the lines of a shader with its includes; a file that is already included is left out."""
     included = set() if included is None else included
     lines = []
-    for number, text in enumerate((generated[file] if file in generated else shader(file)).splitlines(), start=1):
-        include = _INCLUDE.fullmatch(text) if text.startswith("#") else None
+    for line, include in _parsed(file, generated[file] if file in generated else shader(file)):
         if include is None:
-            lines.append(_Line(text, file, number))
-        elif include[1] not in included:
-            included.add(include[1])
-            lines += _expanded(include[1], generated, included)
+            lines.append(line)
+        elif include not in included:
+            included.add(include)
+            lines += _expanded(include, generated, included)
     return lines
+
+
+@lru_cache(maxsize=256)
+def _parsed(file: str, text: str) -> tuple[tuple[_Line, str | None], ...]:
+    """Return the lines of a shader, each with the name that it includes; programs share most of their files."""
+    parsed = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        include = _INCLUDE.fullmatch(line) if line.startswith("#") else None
+        parsed.append((_Line(line, file, number), include and include[1]))
+    return tuple(parsed)
 
 
 def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
