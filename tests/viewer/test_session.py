@@ -154,7 +154,7 @@ def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path
 
 def test_an_export_that_is_stopped_keeps_complete_frames_and_can_continue(viewer, log, tmp_path):
     session = viewer.session
-    session.change(**{"exposure.interval_s": 0.1})
+    session.change(**{"exposure.interval_s": 0.2})
     save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, noiseless=False)
     export = session.export
     while export.done < 2:
@@ -166,7 +166,8 @@ def test_an_export_that_is_stopped_keeps_complete_frames_and_can_continue(viewer
     settings = Config.load(tmp_path / "range.toml")
     # Frames with a line of truth are kept; a frame in progress is drawn again, with the same bytes.
     lines = (tmp_path / "range" / "truth.jsonl.partial").read_text().splitlines()
-    kept = {path.name: path.stat().st_mtime_ns for path in there if path.name in {json.loads(t)["file"] for t in lines}}
+    named = {json.loads(line)["file"] for line in lines}
+    kept = {path.name: path.stat().st_mtime_ns for path in there if path.name in named}
     assert len(kept) >= 2
     exported(settings, log, tmp_path / "range", stop_s=SECONDS)
     assert all((tmp_path / "range" / name).stat().st_mtime_ns == at for name, at in kept.items())
