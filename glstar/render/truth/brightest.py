@@ -37,7 +37,7 @@ _LEAST_SHARE = 1e-6
 _BORDER_SIGMA = 2.5
 _LEAST_PART = 0.3
 # Where no light is, px.
-_FAR_PX = 1e7
+FAR_PX = 1e7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +48,7 @@ class BrightestPoints:
     # middles of lines.
     point_px: Float
     step_px: Float  # (k, m, 2) from the starts to the ends of these lines, px
+    promised_per_px2: Float  # (k, m) signals over the flux that are expected there
     # (m,) the integral of the squared signal over the squared flux above the cloud, 1/px^2; of a path that is partly on
     # the image, that over the part on it, divided by this part of the time.
     square_per_px2: Float
@@ -91,7 +92,7 @@ class _Lines(NamedTuple):
         """Return the lines of chains, for stars of a width; those that are together shorter than a length as groups."""
         # Far outside, the polynomial of a lens may be anywhere.
         middle_px, step_px = (
-            _joined([getattr(chain, name) for chain in chains]).clip(-_FAR_PX, _FAR_PX)
+            _joined([getattr(chain, name) for chain in chains]).clip(-FAR_PX, FAR_PX)
             for name in ("middle_px", "step_px")
         )
         weight, length_px = (_joined([getattr(chain, name) for chain in chains]) for name in ("weight", "length_px"))
@@ -234,25 +235,26 @@ def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -
     return np.asarray((near @ passing) / near.sum(axis=1)[:, np.newaxis])
 
 
-def _candidates(lines: _Lines, signals: Float, separation_px: float) -> tuple[Float, Float]:
-    """Return the middles of the lines with the largest signals, and their steps, (k, m, 2) px both.
+def _candidates(lines: _Lines, signals: Float, separation_px: float) -> tuple[Float, Float, Float]:
+    """Return the middles of the lines with the largest signals, their steps, (k, m, 2) px both, and these signals.
 
     They are separate; those that promise little are infinitely far away.
     """
     stars = np.arange(signals.shape[1])
-    chosen: list[tuple[Float, Float]] = []
+    chosen: list[tuple[Float, Float, Float]] = []
     largest = signals.max(axis=0)
     for _ in range(_CANDIDATES):
         best = signals.argmax(axis=0)
         middle_px, step_px = (each[:, best, stars].T for each in (lines.middle_px, lines.step_px))
-        is_promising = signals[best, stars] > _PROMISING * largest if chosen else np.ones(len(stars), np.bool_)
+        promised = signals[best, stars]
+        is_promising = promised > _PROMISING * largest if chosen else np.ones(len(stars), np.bool_)
         if not is_promising.any():
             break
-        chosen.append((np.where(is_promising[:, np.newaxis], middle_px, _FAR_PX), step_px))
+        chosen.append((np.where(is_promising[:, np.newaxis], middle_px, FAR_PX), step_px, promised))
         near = square_distance_px2(lines.middle_px, *middle_px.T) < separation_px * separation_px
         signals[near.nonzero()] = -np.inf  # for few of many, faster than by the mask
-    middles_px, steps_px = zip(*chosen, strict=True)
-    return np.stack(middles_px), np.stack(steps_px)
+    middles_px, steps_px, promised_per_px2 = (np.stack(each) for each in zip(*chosen, strict=True))
+    return middles_px, steps_px, promised_per_px2
 
 
 def _as_gaussians(lines: _Lines, sigma_px: float) -> Gaussians:

@@ -25,7 +25,7 @@ from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import psf_scale
 from glstar.render.scene.transmission import Transmission
-from glstar.render.truth.brightest import BrightestPoints, brightest_points
+from glstar.render.truth.brightest import FAR_PX, BrightestPoints, brightest_points
 from glstar.render.truth.linechains import LineChain, NearLines, Stars, line_chains
 from glstar.sky.photometry import USUAL_BV
 
@@ -87,6 +87,8 @@ _AROUND_SIGMA = (0.6, 0.3)
 _WORTHWHILE = 0.9
 _EVEN = 1.003
 _SYMMETRIC = 0.05
+# Signals that differ by less than the rest of this are the same.
+_SAME = 0.995
 
 
 class _Part(NamedTuple):
@@ -197,10 +199,14 @@ def _largest_signal(
         for chain, transmission in zip(chains, transmissions, strict=True)
         for stars, gaussians in profiles
     ]
-    searches = [
-        _Search.along(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px)
-        for middle_px, step_px in zip(points.point_px, points.step_px, strict=True)
-    ]
+    searches: list[_Search] = []
+    is_even = np.zeros(points.promised_per_px2.shape[1:], np.bool_)
+    for middle_px, step_px, promised in zip(points.point_px, points.step_px, points.promised_per_px2, strict=True):
+        # Where a trail is steady, the other lines that promise the same are as bright.
+        is_same = is_even & (promised > _SAME * points.promised_per_px2[0])
+        middle_px = np.where(is_same[:, np.newaxis], FAR_PX, middle_px)
+        searches.append(_Search.along(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px))
+        is_even = ~searches[0].may_gain
     largest: Float = np.max([search.largest for search in searches], axis=0)
     promising = _WORTHWHILE * largest
     for search in searches:
