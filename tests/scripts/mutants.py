@@ -184,7 +184,7 @@ class Workers:
             if failed and failed[0].startswith("no end"):
                 unjudged = failed[0]
             elif failed and (named := failed[0].partition(" ")[2].partition(" - ")[0]).startswith("tests/"):
-                unjudged = "fails without a fault too" if checkout.failures([named]) else ""
+                unjudged = f"{named} fails without a fault too" if checkout.failures([named]) else ""
         return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s, unjudged)
 
     def outcome(self, fault: Fault) -> Outcome:
