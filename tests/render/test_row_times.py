@@ -134,6 +134,20 @@ def test_the_attitude_and_its_rate_place_every_star_at_its_own_middle():
             assert tuple(LENS.project(turned)) == pytest.approx((star["x_px"], star["y_px"]), rel=0, abs=0.01)
 
 
+@pytest.mark.parametrize("frames", [1, 3])
+def test_the_rate_is_that_of_the_attitude_in_the_middle_of_the_exposure(frames):
+    exposure = Exposure(
+        NIGHT_UTC_S + 0.31, 0.08, readout_s=0.05, frames=frames, gap_s=0.02 if frames > 1 else 0.0, stack="mean"
+    )
+    simulator = replace(vibrating(20.0, 1.0), camera=LENS)
+    before, after = simulator.pointing(exposure.mid_utc_s + np.array([-5e-4, 5e-4])).C_camera_eq
+    # In the camera frame the stars turn in the opposite direction.
+    expected = -Rotation.from_matrix(after @ before.T).as_rotvec() / 1e-3
+    assert np.linalg.norm(expected) > 0.1
+    # UTC in seconds is rounded to 2.4e-7 s: of a millisecond 5e-4.
+    np.testing.assert_allclose(truth(simulator.scene(exposure))["rates_rad_per_s"], expected, rtol=1e-3, atol=1e-4)
+
+
 @pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
 @pytest.mark.parametrize("duration_s", [0.3, 0.05])
 def test_stars_beside_the_image_are_recorded_as_by_the_row_at_its_border(readout, duration_s):
