@@ -212,6 +212,14 @@ def test_cloud_covers_a_satellite_where_it_is_seen(renderer: GLRenderer, tmp_pat
     assert scene.draw_list.passage.mean() == pytest.approx(passed, rel=0.1)
 
 
+def test_a_satellite_is_the_only_source_of_its_scene(tmp_path: Path) -> None:
+    simulator = replace(simulator_of(tmp_path), bodies=True)
+    scene = simulator.scene(Exposure(HIGH_S, 0.5))
+    assert scene.bodies is not None
+    (satellite,) = scene.satellites
+    assert (satellite.bodies, satellite.satellites, len(satellite.stars)) == (None, (), 1)
+
+
 def test_no_satellite_is_drawn_in_the_shadow_or_outside_of_the_image(tmp_path: Path) -> None:
     simulator = simulator_of(tmp_path, yaw_deg=358.0)
     assert len(simulator.scene(Exposure(SHADOW_S, 0.5)).satellites) == 1
