@@ -11,6 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from glstar.cli import app
+from glstar.export.imagefiles.exif import with_exif
 from glstar.export.imagefiles.formats import decode, find_damage
 from glstar.images.times import read_exif
 from glstar.sky.place.timescale import parse_utc
@@ -55,6 +56,13 @@ def test_exported_images_have_exif_that_others_read(tmp_path: Path, kind: str) -
         np.testing.assert_array_equal(pixels, decode(without, path.suffix))
         np.testing.assert_array_equal(pixels, cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
         assert not find_damage(path)
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg", "tiff"])
+def test_an_image_gets_exif_only_once(tmp_path: Path, kind: str) -> None:
+    line = exported(tmp_path, "exif", "--format", kind, "--exif")[0]
+    content = (tmp_path / "exif" / line["file"]).read_bytes()
+    assert with_exif(content, Path(line["file"]).suffix, line) == content
 
 
 def test_a_tiff_that_lost_its_exif_is_damaged(tmp_path: Path) -> None:
