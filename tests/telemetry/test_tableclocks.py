@@ -13,7 +13,7 @@ from glstar.rotation import euler_from_quaternion
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry import open_flight, open_source, survey
-from glstar.telemetry.tables.tableclock import first_of_each_time, has_whole_seconds, in_first_second
+from glstar.telemetry.tables.tableclock import first_of_each_time, has_whole_seconds, in_first_second, valid_rows
 from tests.support.tablefiles import START_S, largest_error_s, make_table
 
 # tests/scripts/strange_flights.py makes thousands of others.
@@ -379,3 +379,16 @@ def test_rows_of_the_first_second_are_those_that_repeat_it() -> None:
     assert not in_first_second(truncated + 0.3).any()
     assert not in_first_second(np.arange(5.0, 40.0)).any()
     assert not in_first_second(np.full(20, 5.0)).any()
+
+
+@pytest.mark.parametrize(("rows", "glitches", "are_found"), [(5000, 40, True), (5000, 150, False), (500, 15, True)])
+def test_times_that_are_wrong_for_a_row_are_not_valid_unless_a_fiftieth_are(rows, glitches, are_found) -> None:
+    """A table with more steps back than a fiftieth of its rows is not sorted: all finite times are valid."""
+    clock_s = np.arange(rows) / 10
+    wrong = np.linspace(10, rows - 10, glitches).astype(int)
+    clock_s[wrong] -= 400.0
+    clock_s[5] = np.nan
+    expected = np.isfinite(clock_s)
+    if are_found:
+        expected[wrong] = False
+    np.testing.assert_array_equal(valid_rows(clock_s), expected)
