@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.calibrate.geometry.lenschoice import LensCandidate
+from glstar.calibrate.geometry.lenschoice import LensCandidate, simple_lens
 from glstar.calibrate.geometry.lensfit import fit_camera
 from glstar.calibrate.geometry.zenith import _RefractedStars, find_zenith
 from glstar.calibrate.identify.leastsquares import _SOFT_NOISE, IdentifiedStars
@@ -102,6 +102,18 @@ def test_a_zenith_is_given_by_the_altitude_of_the_optical_axis_and_the_direction
     for direction_deg, x, y in ((0, 0, -1), (90, 1, 0), (180, 0, 1), (270, -1, 0)):
         in_camera = stars.solution.C_camera_eq @ stars.zenith_eq(np.deg2rad(30.0), np.deg2rad(direction_deg))
         np.testing.assert_allclose(in_camera, [np.sqrt(0.75) * x, np.sqrt(0.75) * y, 0.5], rtol=0, atol=1e-12)
+
+
+def test_a_simple_lens_keeps_the_camera_before_the_first_refinement_as_prior() -> None:
+    photo = Photo(Lens("plumb_bob", (-0.28, 0.09)))
+    solution = photo.matches.solution
+    directions = photo.reference.to_camera(np.eye(3))
+    identified = IdentifiedStars.of(photo.detected, directions, solution, photo.matches.star, photo.matches.detection)
+    first = simple_lens(identified, solution, "auto")
+    assert first.prior_camera is solution.camera
+    assert first.camera.fx_px == pytest.approx(900.0, rel=1e-3)
+    assert first.k1 == 0
+    assert simple_lens(identified, first, "auto").prior_camera is solution.camera
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from math import acos, cos, radians, sin, sqrt, tan
 
 import numpy as np
 import pytest
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 from pyproj import Proj
 
 from glstar.camera.model import Camera
@@ -13,12 +13,14 @@ from glstar.system.resources import asset
 from glstar.viewer.flight.map import (
     _EARTH_M,
     Coastlines,
+    GraticuleLine,
     MapLimits,
     _bounds_deg,
     _label,
     graticule,
     ground_footprint,
 )
+from glstar.viewer.ui.panels import flight as flightpanel
 from tests.support.windowinput import press, screen
 from tests.viewer.test_fitpanel import pressing
 from tests.viewer.test_flightpanel import _pixels_of, _write
@@ -198,6 +200,59 @@ def test_the_graticule_reaches_a_sixteenth_beyond_the_map(origin_deg, half_m):
 )
 def test_lines_of_the_graticule_have_the_digits_of_their_step(value_deg, step_deg, sides, label):
     assert _label(value_deg, step_deg, sides) == label
+
+
+class _PlotOfText:
+    """A plot of 400 x 300 px at (100, 50), 1 px a metre, north up, and text of 40 x 10 px: records labels."""
+
+    def __init__(self):
+        self.labels = []
+
+    def plot_to_pixels(self, east_m, north_m):
+        return ImVec2(100.0 + east_m, 350.0 - north_m)
+
+    def get_plot_pos(self):
+        return ImVec2(100.0, 50.0)
+
+    def get_plot_size(self):
+        return ImVec2(400.0, 300.0)
+
+    def calc_text_size(self, _text):
+        return ImVec2(40.0, 10.0)
+
+    def get_color_u32(self, _colour):
+        return 0
+
+    def get_plot_draw_list(self):
+        return self
+
+    def add_text(self, corner, _colour, text):
+        self.labels.append((text, corner.x, corner.y))
+
+
+@pytest.mark.parametrize(
+    ("is_parallel", "xy_m", "expected"),
+    [
+        # Above the left end of a parallel, inside the plot, but not on the lowest lines of text nor above the plot.
+        (True, [(-50.0, 150.0), (20.0, 150.0), (390.0, 150.0)], (103.0, 190.0)),
+        (True, [(0.0, 35.0), (400.0, 35.0)], (103.0, 305.0)),
+        (True, [(0.0, 15.0), (400.0, 15.0)], None),
+        (True, [(0.0, 295.0), (400.0, 295.0)], None),
+        (True, [(0.0, 310.0), (400.0, 310.0)], None),
+        # In the middle below a meridian's lower end, moved into the plot.
+        (False, [(200.0, -10.0), (200.0, 5.0), (200.0, 290.0)], (280.0, 333.0)),
+        (False, [(1.0, 0.0), (1.0, 290.0)], (103.0, 338.0)),
+        (False, [(399.0, 0.0), (399.0, 290.0)], (457.0, 338.0)),
+        (False, [(np.nan, np.nan), (401.0, 0.0)], None),
+    ],
+)
+def test_a_line_of_the_graticule_is_labelled_at_its_end_in_the_plot(monkeypatch, is_parallel, xy_m, expected):
+    plot = _PlotOfText()
+    monkeypatch.setattr(flightpanel, "implot", plot)
+    monkeypatch.setattr(flightpanel, "imgui", plot)
+    line = GraticuleLine("label", is_parallel, np.array(xy_m))
+    flightpanel._draw_label(line, MapLimits(0.0, 400.0, 0.0, 300.0), (1.0, 1.0, 1.0, 1.0))
+    assert plot.labels == ([] if expected is None else [("label", *expected)])
 
 
 def test_the_wheel_zooms_out_to_the_coast_and_a_double_click_returns(make_viewer, tmp_path):
