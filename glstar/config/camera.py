@@ -139,7 +139,7 @@ def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLi
     length, span, interval = (np.asarray(time, dtype=np.float64) for time in (length_s, span_s, interval_s))
     remaining_s = length - span + CLOCK_GRAIN_S / 2
     with np.errstate(over="ignore"):
-        counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
+        counts = np.floor(np.clip(remaining_s / interval, 0.0, _MOST_EXPOSURES))
     return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)
 
 

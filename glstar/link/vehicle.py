@@ -19,7 +19,7 @@ has one parameter, its system number, and an empty mission.  In a gap of the fli
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, inf
 from threading import Event
 from typing import Any
 
@@ -150,7 +150,7 @@ class Vehicle:
             if on_second is not None and self._now_s - reported_s >= self._speed:
                 reported_s = self._now_s
                 on_second(reported_s)
-            next_s = min((self._due_s[number] for number in self._interval_s), default=self._now_s + 1.0)
+            next_s = min((self._due_s[number] for number in self._interval_s), default=inf)
             wait_s = began_s + next_s / self._speed - time.monotonic()
             self._process(self._transport.read(min(max(wait_s, 0.0), 0.1)))
         return self._now_s

@@ -63,3 +63,23 @@ def test_the_light_beside_a_star_is_that_of_a_finely_sampled_one():
     expected = (star[1, 2] + star[3, 2] + star[2, 1] + star[2, 3]) / star[2, 2]
     joint = JointPsf(PointSpread(), 0.7, {}, 1, 1.0)
     assert light_beside_star(joint) == pytest.approx(expected, rel=0, abs=1e-5)
+
+
+@pytest.mark.parametrize("sigma_px", [0.5, 1.3])
+def test_pixels_without_light_beside_them_are_hot_but_not_at_the_edge(sigma_px: float) -> None:
+    joint = JointPsf(PointSpread(), sigma_px, {}, 100, 1.0)
+    above, variance = np.zeros((12, 15)), np.ones((12, 15))
+    rows, columns = [0, 11, 5, 5, 1, 10, 6], [7, 7, 0, 14, 1, 13, 7]
+    above[rows, columns] = 200.0 + np.arange(7)
+    found = find_hot_pixels(above, variance, 0.0, joint)
+    # Row by row: those of the edge are left out.
+    np.testing.assert_array_equal(found.y_px, [1, 6, 10])
+    np.testing.assert_array_equal(found.x_px, [1, 7, 13])
+    np.testing.assert_array_equal(found.excess_dn, [204.0, 206.0, 205.0])
+    # Half of the light of a centred star beside a pixel is the limit.
+    share = light_beside_star(joint)
+    for part, count in ((0.45, 1), (0.55, 0)):
+        bright = np.zeros((9, 9))
+        bright[4, 4] = 1e5
+        bright[[3, 5, 4, 4], [4, 4, 3, 5]] = 1e5 * part * share / 4
+        assert len(find_hot_pixels(bright, np.ones((9, 9)), 0.0, joint).x_px) == count

@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.calibrate.sensor.jointpsf import JointPsf, cut_stamps, fit_joint_psf, measure_fluxes
+from glstar.calibrate.sensor.jointpsf import (
+    JointPsf,
+    StarStamps,
+    _Shape,
+    _without_position_bias,
+    cut_stamps,
+    fit_joint_psf,
+    measure_fluxes,
+)
 from glstar.camera.sensor.pointspread import PointSpread
 
 BETA, SIGMA_PX = 3.0, 1.3
@@ -78,6 +86,29 @@ def test_shot_noise_makes_stars_neither_fainter_nor_narrower():
     error = np.sqrt(np.sum(error_dn**2)) / flux_dn.sum()
     assert error < 0.015
     assert found_dn.sum() / flux_dn.sum() == pytest.approx(1, rel=0, abs=2.5 * error)
+
+
+@pytest.mark.parametrize("signal_to_noise", [8.0, 16.0])
+def test_the_width_about_fitted_positions_is_widened_by_their_variance(signal_to_noise):
+    """A Gaussian of peak A has a position with the variance C = 2 noise^2 / (pi A^2), by which sigma^2 is too small."""
+    sigma_px, count = 1.5, 25
+    rng = np.random.default_rng(3)
+    zeros = np.zeros((count, 2))
+    empty = StarStamps(
+        corner_px=zeros,
+        values_dn=np.zeros((count, 21, 21)),
+        variance_dn2=np.ones((count, 21, 21)),
+        xy_px=10.0 + rng.uniform(-0.5, 0.5, (count, 2)),
+        trail_px=zeros,
+        offset=zeros,
+        bv=np.full(count, 0.65),
+    )
+    # A pixel adds a twelfth of its area to the variance of what is recorded.
+    flux_dn = signal_to_noise * 2 * np.pi * (sigma_px**2 + 1 / 12)
+    stamps = replace(empty, values_dn=flux_dn * empty.profiles(PointSpread(), sigma_px))
+    found = _without_position_bias(stamps, ("sigma",), _Shape(sigma_px))
+    widened_px2 = found.sigma_px**2 - sigma_px**2
+    assert widened_px2 == pytest.approx(2 / (np.pi * signal_to_noise**2), rel=0.15)
 
 
 def test_widths_that_follow_tilt_and_colour_are_recovered():

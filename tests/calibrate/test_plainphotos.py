@@ -3,12 +3,14 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from glstar.calibrate.geometry.lensfit import fit_lens
+from glstar.calibrate.identify import lost
 from glstar.calibrate.identify.lost import identify_lost
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, nominal_camera, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars, detect_stars
@@ -44,6 +46,93 @@ def recognised(photo: PlainPhoto, fov_deg: float) -> tuple[DetectedStars, Matche
 def whole_sky() -> tuple[PlainPhoto, DetectedStars, Matches]:
     photo = all_sky()
     return photo, *recognised(photo, 140)
+
+
+class Recorder:
+    """Patterns that record what they are searched for."""
+
+    def __init__(self, solution=None):
+        self.searches, self.solution = [], solution
+
+    def solve_from_centroids(self, stars, **options):
+        self.searches.append((stars.copy(), options))
+        return self.solution
+
+
+def detections(xy_px, peak_dn) -> DetectedStars:
+    count = len(xy_px)
+    few = detect_stars(narrow(1, fov_deg=10.0, limit_vmag=7.0, peak_snr=20.0, uncatalogued=10).image)
+    ones = np.ones(count)
+    return replace(few, xy_px=xy_px, peak_dn=peak_dn, sigma_px=ones, noise_dn=ones, saturated=ones > 0)
+
+
+def searches(monkeypatch, detected: DetectedStars, camera: Camera, solution=None) -> tuple[list, list[PlateSolution]]:
+    """Return the searches for patterns, and the plate solutions that follow from their answer."""
+    recorder = Recorder(solution)
+    monkeypatch.setattr(lost, "pattern_database", lambda *_: recorder)
+    solutions = list(lost._recognised(detected, REFERENCE, ALL_STARS, camera, 1e-3))
+    return recorder.searches, solutions
+
+
+@pytest.mark.parametrize(("count", "counts"), [(300, [200, 60, 25, 12, 6]), (25, [25, 12, 6]), (6, [6])])
+def test_patterns_of_the_brightest_are_searched_around_the_middle_of_the_image(monkeypatch, count, counts) -> None:
+    rng = np.random.default_rng(2)
+    xy_px = rng.uniform([0, 0], [1199, 799], (count, 2))
+    # The amplitudes of saturated stars are lower limits.
+    peak_dn = np.sort(rng.uniform(10, 200, count))[::-1] * np.where(np.arange(count) < 3, 0.5, 1.0)
+    asked, solutions = searches(
+        monkeypatch, detections(xy_px, peak_dn), Camera(1200, 800, 1500.0, 1500.0, 599.5, 399.5)
+    )
+    assert [len(stars) for stars, _ in asked] == counts
+    assert not solutions
+    for stars, options in asked:
+        # Pixel (0, 0) is the centre of the top-left pixel of 1200 columns and 800 rows.
+        np.testing.assert_allclose(stars[:, :2], xy_px[: len(stars)] - [599.5, 399.5], rtol=0, atol=1e-9)
+        expected = [peak_dn[k:].max() for k in range(len(stars))]
+        np.testing.assert_allclose(stars[:, 2], expected, rtol=0, atol=1e-12)
+        assert options["fov_estimate_rad"] == pytest.approx(2 * np.arctan2(600, 1500), rel=1e-12)
+        assert options["fov_max_error_rad"] == pytest.approx(0.15 * 2 * np.arctan2(600, 1500), rel=1e-12)
+        assert options["image_shape"] == (800, 1200)
+        assert options["match_threshold"] == 1e-3
+
+
+def test_with_a_lens_patterns_are_searched_in_its_undistorted_middle(monkeypatch) -> None:
+    f_px, centre_px = 400.0, np.array([601.0, 402.0])
+    fisheye = Camera(1200, 800, f_px, f_px, *centre_px, lens=Lens("fisheye", (0.0, 0.0, 0.0, 0.0)))
+    rng = np.random.default_rng(3)
+    theta, phi = np.sqrt(rng.uniform(0, 1, 400)) * 1.4, rng.uniform(0, 2 * np.pi, 400)
+    across = np.column_stack([np.cos(phi), np.sin(phi)])
+    xy_px = centre_px + f_px * theta[:, np.newaxis] * across  # r = f theta
+    asked, _ = searches(monkeypatch, detections(xy_px, np.arange(400.0, 0.0, -1.0)), fisheye)
+    half = f_px * np.tan(np.deg2rad(20.0)) * np.array([1.0, 800 / 1200])
+    pinhole = f_px * np.tan(theta)[:, np.newaxis] * across
+    expected = pinhole[(np.abs(pinhole) < half).all(axis=1)]
+    assert 15 < len(expected) < 60
+    np.testing.assert_allclose(asked[0][0][:, :2], expected, rtol=0, atol=1e-6)
+    assert asked[0][1]["fov_estimate_rad"] == pytest.approx(np.deg2rad(40.0), rel=1e-9)
+    assert asked[0][1]["image_shape"] == (round(2 * half[1]), round(2 * half[0]))
+
+
+def test_too_few_stars_in_the_middle_of_a_lens_are_not_searched(monkeypatch) -> None:
+    fisheye = Camera(1200, 800, 400.0, 400.0, 599.5, 399.5, lens=Lens("fisheye", (0.0, 0.0, 0.0, 0.0)))
+    xy_px = np.array([[600.0 + 10 * k, 400.0] for k in range(3)] + [[1150.0, 20.0 * k] for k in range(20)])
+    assert searches(monkeypatch, detections(xy_px, np.arange(23.0, 0.0, -1.0)), fisheye) == ([], [])
+
+
+def test_a_recognised_pattern_gives_the_focal_length_of_its_field_of_view(monkeypatch) -> None:
+    turn = Rotation.random(random_state=np.random.default_rng(4)).as_matrix()
+    answer = SimpleNamespace(fov_deg=44.0, rotation_matrix_icrs_to_camera=turn, parity_flip=True)
+    camera = Camera(1200, 800, 1500.0, 1480.0, 599.5, 399.5)
+    xy_px = np.random.default_rng(5).uniform([0, 0], [1199, 799], (8, 2))
+    _, (found, *others) = searches(monkeypatch, detections(xy_px, np.arange(8.0, 0.0, -1.0)), camera, answer)
+    assert len(others) == 1  # eight stars, and six of them
+    assert np.rad2deg(2 * np.arctan(600 / found.camera.fx_px)) == pytest.approx(44.0, rel=1e-12)
+    assert found.camera.fy_px / found.camera.fx_px == pytest.approx(1480 / 1500, rel=1e-12)
+    assert found.mirrored
+    # A direction in the ICRS is turned to the equator of date, and to the camera.
+    icrs = np.array([0.6, 0.0, 0.8])
+    of_date = REFERENCE.stars.C_eq_icrs @ icrs
+    np.testing.assert_allclose(found.C_camera_eq @ of_date, turn @ icrs, rtol=0, atol=1e-12)
 
 
 # Without the test of significance, 15, 24, 18 and 3 stars of the first four are misidentified by more than 3 px; the

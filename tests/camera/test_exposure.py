@@ -110,6 +110,10 @@ def test_exposures_that_fill_the_flight_to_the_end_all_fit() -> None:
     assert section.count_within(12.5 - CLOCK_S) == 25
     assert section.count_within(0.5) == 1
     assert section.count_within(0.4) == 0
+    # The clock has a resolution of a microsecond: the last exposure may end half of it late.
+    short = ExposureSection(duration_s=1e-3, interval_s=1e-3)
+    assert short.count_within(0.002 - 0.45e-6) == 2
+    assert short.count_within(0.002 - 0.55e-6) == 1
 
 
 def test_exposures_are_counted_for_an_absurdly_short_interval() -> None:

@@ -79,6 +79,15 @@ def test_the_sine_of_an_angle_is_uniform_between_its_bounds(tmp_path):
     assert config.sweep.as_json()["varies"]["flight.latitude_deg"]["sine"] is True
 
 
+def test_a_range_may_have_all_of_its_keys(tmp_path):
+    every = "min = -30, max = 90, log = false, sine = true"
+    config, short = (
+        config_of(tmp_path, f"[sweep]\ndraws = 5\nflight.longitude_deg = [0]\nflight.latitude_deg = {{ {keys} }}\n")
+        for keys in (every, "min = -30, max = 90, sine = true")
+    )
+    assert samples_of(config) == samples_of(short)
+
+
 @pytest.mark.parametrize(
     "text",
     [

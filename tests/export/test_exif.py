@@ -1,6 +1,7 @@
 """EXIF of exported images: what other readers find in it, and that nothing else changes."""
 
 import json
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from glstar.cli import app
+from glstar.export.imagefiles.exif import with_exif
 from glstar.export.imagefiles.formats import decode, find_damage
 from glstar.images.times import read_exif
 from glstar.sky.place.timescale import parse_utc
@@ -55,6 +57,29 @@ def test_exported_images_have_exif_that_others_read(tmp_path: Path, kind: str) -
         np.testing.assert_array_equal(pixels, decode(without, path.suffix))
         np.testing.assert_array_equal(pixels, cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
         assert not find_damage(path)
+
+
+@pytest.mark.parametrize("site", [(-34.5, 138.25, -12.5), (51.5, -0.25, 0.0), (-0.001, -179.75, 8848.0)])
+def test_exif_has_the_side_of_every_coordinate(site: tuple[float, float, float]) -> None:
+    latitude_deg, longitude_deg, height_m = site
+    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "height_m": height_m}
+    line = {"camera_utc_start": "2024-03-10T11:00:00.25Z", "duration_s": 0.5, "site": place}
+    png = cv2.imencode(".png", np.zeros((4, 5), np.uint8))[1].tobytes()
+    with Image.open(BytesIO(with_exif(png, ".png", line))) as image:
+        gps = image.getexif().get_ifd(0x8825)
+    assert (gps[1], gps[3]) == ("N" if latitude_deg > 0 else "S", "E" if longitude_deg > 0 else "W")
+    assert int.from_bytes(gps[5], "big") == (1 if height_m < 0 else 0)  # 1: below sea level
+    degrees = [float(of[0] + of[1] / 60 + of[2] / 3600) for of in (gps[2], gps[4])]
+    assert degrees == pytest.approx([abs(latitude_deg), abs(longitude_deg)], rel=0, abs=1e-7)
+    assert float(gps[6]) == abs(height_m)
+    assert [float(one) for one in gps[7]] == [11.0, 0.0, 0.25]
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg", "tiff"])
+def test_an_image_gets_exif_only_once(tmp_path: Path, kind: str) -> None:
+    line = exported(tmp_path, "exif", "--format", kind, "--exif")[0]
+    content = (tmp_path / "exif" / line["file"]).read_bytes()
+    assert with_exif(content, Path(line["file"]).suffix, line) == content
 
 
 def test_a_tiff_that_lost_its_exif_is_damaged(tmp_path: Path) -> None:

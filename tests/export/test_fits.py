@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.export.imagefiles.fits import damage_of_fits, decode_fits, encode_fits, fit_sip
+from glstar.export.imagefiles.fits import _radial_of, damage_of_fits, decode_fits, encode_fits, fit_sip
 from glstar.export.imagefiles.formats import find_damage
 from glstar.render.readout.rows import recorded_times
 from glstar.render.scene.scene import Frame, Scene
@@ -87,6 +87,33 @@ def test_astropy_inverts_the_coordinates_of_a_wide_lens(lens):
     assert header["CTYPE1"] == "RA---ZPN-SIP"
     assert errors_px(scene, catalogue, header).max() < 0.01
     assert header["WCSMAX"] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("lens", "corner_deg", "is_tangent"),
+    [
+        # r = f theta: along the radius the tangent plane's scale is 1 / cos^2, and 1.5 at 35.26 deg.
+        (Lens("fisheye", (0.0, 0.0, 0.0, 0.0)), 35.0, True),
+        (Lens("fisheye", (0.0, 0.0, 0.0, 0.0)), 35.6, False),
+        # As good as a pinhole, of any field.
+        (Lens("plumb_bob", (1e-7, 0.0)), 60.0, True),
+        (Lens("fisheye", (0.0, 0.0, 0.0, 0.0)), 95.0, False),
+    ],
+)
+def test_the_plane_is_that_of_the_lens_where_the_tangent_plane_changes_by_half(lens, corner_deg, is_tangent):
+    half_diagonal_px, corner_rad = 300.0, np.deg2rad(corner_deg)
+    f_px = half_diagonal_px / (corner_rad if lens.model == "fisheye" else np.tan(corner_rad))
+    assert (_radial_of(replace(camera(480, 360, f_px), lens=lens)).size == 0) == is_tangent
+
+
+def test_the_projection_of_a_lens_has_its_radius_at_every_angle():
+    """OpenCV's fisheye: theta (1 + k1 theta^2 + k2 theta^4 + ...), whose powers are those of ZPN."""
+    lens = Lens("fisheye", (-0.05, 0.02, -0.004, 0.0005))
+    radial = _radial_of(replace(camera(480, 360, 250.0), lens=lens))
+    theta = np.linspace(0.01, 1.2, 50)
+    expected = theta * (1 - 0.05 * theta**2 + 0.02 * theta**4 - 0.004 * theta**6 + 0.0005 * theta**8)
+    found = sum(c * theta**k for c, k in zip(radial, range(1, 20, 2), strict=True))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("lens", [PINHOLE, BARREL], ids=["pinhole", "barrel"])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
@@ -13,6 +14,7 @@ from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.clouds import horizontal_axes
+from glstar.render.scene.satellites import _back, _turns
 from glstar.render.simulator import Simulator
 from glstar.render.truth.frame import frame_truth
 from glstar.render.truth.mask import trail_mask
@@ -210,6 +212,27 @@ def test_cloud_covers_a_satellite_where_it_is_seen(renderer: GLRenderer, tmp_pat
     assert np.ptp(through) > 0.5
     assert passed == pytest.approx(np.mean(through), rel=0.02, abs=0)
     assert scene.draw_list.passage.mean() == pytest.approx(passed, rel=0.1)
+
+
+def test_a_frame_that_follows_a_satellite_turns_by_the_shortest_rotation() -> None:
+    first, *others = np.random.default_rng(3).normal(size=(6, 3))
+    first, directions = first / np.linalg.norm(first), others / np.linalg.norm(others, axis=1)[:, np.newaxis]
+    axis = np.cross(first, directions)
+    angle_rad = np.arctan2(np.linalg.norm(axis, axis=1), directions @ first)
+    unit = axis / np.linalg.norm(axis, axis=1)[:, np.newaxis]
+    expected = Rotation.from_rotvec(angle_rad[:, np.newaxis] * unit)
+    turn = _turns(first, directions)
+    np.testing.assert_allclose(turn, expected.as_matrix(), rtol=0, atol=1e-12)
+    vectors = np.random.default_rng(4).normal(size=(5, 3))
+    np.testing.assert_allclose(_back(turn, vectors), expected.inv().apply(vectors), rtol=0, atol=1e-12)
+
+
+def test_a_satellite_is_the_only_source_of_its_scene(tmp_path: Path) -> None:
+    simulator = replace(simulator_of(tmp_path), bodies=True)
+    scene = simulator.scene(Exposure(HIGH_S, 0.5))
+    assert scene.bodies is not None
+    (satellite,) = scene.satellites
+    assert (satellite.bodies, satellite.satellites, len(satellite.stars)) == (None, (), 1)
 
 
 def test_no_satellite_is_drawn_in_the_shadow_or_outside_of_the_image(tmp_path: Path) -> None:

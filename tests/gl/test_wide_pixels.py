@@ -7,9 +7,10 @@ import pytest
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
 from glstar.camera.sensor.pointspread import TRUNCATION_DN
 from glstar.render.scene import reduction
-from glstar.render.scene.reduction import SCALES, reduced_scenes
+from glstar.render.scene.reduction import SCALES, drawn_variance_px2, reduced_camera, reduced_scenes
 from glstar.render.scene.starcomponents import drawn_peak_dn, gaussian_scenes
 from tests.support.reference import light_of
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
@@ -53,9 +54,44 @@ def exact(renderer, scene, monkeypatch):
         return light(renderer, replace(scene, draw_list=replace(scene.draw_list, truncation_radius_px=radius_px)))
 
 
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("lens", [None, Lens("plumb_bob", (-0.2, 0.05, 1e-3, -5e-4))])
+def test_the_camera_of_wide_pixels_sees_every_direction_at_the_same_place(scale, lens):
+    """Pixel (0, 0) of either image begins at (-0.5, -0.5)."""
+    fine = Camera(321, 242, 300.0, 290.0, 170.0, 110.0, 4.0, lens)
+    wide = reduced_camera(fine, scale)
+    edges_px = fine.project(fine.unit_vectors(np.array([[-0.5, -0.5], [320.5, 241.5], [10.0, 200.0], [290.0, 33.0]])))
+    rays = fine.unit_vectors(edges_px)
+    np.testing.assert_allclose(wide.project(rays), (edges_px + 0.5) / scale - 0.5, rtol=0, atol=1e-6)
+    # The last wide pixels may reach beyond the image.
+    assert (wide.width_px, wide.height_px) == ({2: 161, 4: 81}[scale], {2: 121, 4: 61}[scale])
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_largest_error_of_a_profile_is_that_of_its_interpolation(scale):
+    """An upright trail of peak 1, sampled at wide pixels and interpolated at the pixels of the image."""
+    wide = np.arange(-40, 41)
+    pixels = (np.arange(-20 * scale, 20 * scale) + 0.5) / scale - 0.5
+
+    def largest_error(width):
+        variance = drawn_variance_px2(width, 1)
+        errors = []
+        for at in np.linspace(0.0, 1.0, 81):
+            drawn = width / np.sqrt(variance) * np.exp(-((wide - at) ** 2) / (2 * variance))
+            errors.append(np.interp(pixels, wide, drawn) - np.exp(-((pixels - at) ** 2) / (2 * width**2)))
+        return np.abs(errors).max()
+
+    for width, listed in zip(reduction._WIDTHS, reduction._ERRORS[scale], strict=True):
+        assert 0.99 * listed / 1.06 < largest_error(width) < 1.001 * listed
+    # Between the listed widths, too.
+    widths = np.geomspace(reduction._WIDTHS[0], reduction._WIDTHS[-1], 60)
+    between = np.interp(widths, reduction._WIDTHS, reduction._ERRORS[scale])
+    assert (np.array([largest_error(width) for width in widths]) < 1.02 * between).all()
+
+
 @pytest.mark.usefixtures("reduced_whatever_it_saves")
 @pytest.mark.parametrize("scale", SCALES)
-@pytest.mark.parametrize("psf_sigma_px", [1.2, 2.0, 3.0])
+@pytest.mark.parametrize("psf_sigma_px", [1.2, 2.0, 2.5, 3.0])
 def test_a_faint_trail_is_that_of_sub_exposures_within_002_dn(renderer, scale, psf_sigma_px):
     simulator = turning(psf_sigma_px=psf_sigma_px, reference_peak_dn=150.0 / scale**2)
     scene = simulator.scene(Exposure(OPENS_S, 0.5, trail="analytic"))

@@ -11,6 +11,7 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.render.motion import segmentfit
 from glstar.render.motion.segmentation import ROLLING_POSITION_PX
 from glstar.render.motion.segmentfit import LIMITS, STIFFNESS, SampledMotion, node_corrections
 from glstar.render.scene.scene import Frame, Scene
@@ -98,6 +99,50 @@ def test_only_short_segments_are_sampled_more_finely_and_the_samples_are_those_o
     (expected,) = motion.pointings(resolved.times_s)
     np.testing.assert_allclose(resolved.pointing.C_camera_eq, expected.C_camera_eq, rtol=0, atol=1e-10)
     np.testing.assert_allclose(resolved.pointing.zenith_eq, expected.zenith_eq, rtol=0, atol=1e-10)
+
+
+def test_an_exposure_is_sampled_at_least_32_times_with_an_even_number_of_parts(monkeypatch):
+    parts = []
+
+    class SampledError(Exception):
+        pass
+
+    def sampled(motion, nodes_s, count):
+        parts.append(count)
+        raise SampledError
+
+    monkeypatch.setattr(SampledMotion, "of", sampled)
+    for intervals in range(1, 41):
+        with pytest.raises(SampledError):
+            segmentfit.fitted_segments(None, np.arange(intervals + 1.0), LENS, 1.3, 0.01, psf_sigma_px=1.2)
+    assert parts == [next(n for n in range(2, 33, 2) if n * intervals >= 32) for intervals in range(1, 41)]
+
+
+def test_segments_are_divided_as_often_as_their_error_demands():
+    """Ten segments of 1 s, and a log with samples every 0.1 s in the first half only, which has none at 1/3 and 2/3."""
+    nodes_s = np.append(np.arange(0.0, 5.0, 0.1), np.arange(5.0, 11.0))
+    nan, inf = np.nan, np.inf
+    # The error falls with the third power of the length: 8 needs 2 parts, 8.1 and 27 need 3, and one above 1 needs 2.
+    deviation = np.array([0.9, 1.0, 20.0, 1.05, 0.5, 27.0, 5.0, 1.0, 20.0, nan])
+    drawing = np.array([0.9, 1.0, 1.5, 1.05, 8.1, 3.0, nan, 1e6, 30.0, inf])
+    # Where the rate may change: at the samples nearest to 1/3 and 2/3, and at the middle.
+    expected = [2.3, 2.7, 3.5, 4 + 1 / 3, 4 + 2 / 3]
+    # Elsewhere evenly, into at most 24 parts, and into four if the error is unknown.
+    expected += [5 + 1 / 3, 5 + 2 / 3, 6.25, 6.5, 6.75, *(7 + np.arange(1, 24) / 24)]
+    expected += [*(8 + np.arange(1, 4) / 4), 9.25, 9.5, 9.75]
+    found = segmentfit._divided(np.arange(11.0), nodes_s, deviation, drawing)
+    np.testing.assert_allclose(found, np.sort([*range(11), *expected]), rtol=0, atol=1e-9)
+
+
+def test_a_path_that_cannot_be_drawn_is_divided_evenly_although_the_log_has_samples():
+    nodes_s = np.arange(0.0, 2.05, 0.1)
+    knots_s = np.array([0.0, 1.0, 2.0])
+    found = segmentfit._divided(knots_s, nodes_s, np.array([2.0, 20.0]), np.array([20.0, 20.0]))
+    np.testing.assert_allclose(found, [0.0, 1 / 3, 2 / 3, 1.0, 1.3, 1.7, 2.0], rtol=0, atol=1e-9)
+    # Two samples inside are enough for three parts, and one is not; samples at the ends are not inside.
+    for inside, expected in (([0.2, 0.9], [0.2, 0.9]), ([0.4], [1 / 3, 2 / 3]), ([], [1 / 3, 2 / 3])):
+        found = segmentfit._divided(np.array([0.0, 1.0]), np.array([0.0, *inside, 1.0]), np.array([20.0]), np.zeros(1))
+        np.testing.assert_allclose(found, [0.0, *expected, 1.0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("hz", [50.0, 200.0])

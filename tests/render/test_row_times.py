@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
-from glstar.render.readout.rows import recorded_positions, recorded_times
+from glstar.render.readout.rows import OpenPath, _first_after, recorded_positions, recorded_times
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.truth.frame import frame_truth
 from tests.support.rollingshutter import star_positions
@@ -134,6 +134,20 @@ def test_the_attitude_and_its_rate_place_every_star_at_its_own_middle():
             assert tuple(LENS.project(turned)) == pytest.approx((star["x_px"], star["y_px"]), rel=0, abs=0.01)
 
 
+@pytest.mark.parametrize("frames", [1, 3])
+def test_the_rate_is_that_of_the_attitude_in_the_middle_of_the_exposure(frames):
+    exposure = Exposure(
+        NIGHT_UTC_S + 0.31, 0.08, readout_s=0.05, frames=frames, gap_s=0.02 if frames > 1 else 0.0, stack="mean"
+    )
+    simulator = replace(vibrating(20.0, 1.0), camera=LENS)
+    before, after = simulator.pointing(exposure.mid_utc_s + np.array([-5e-4, 5e-4])).C_camera_eq
+    # In the camera frame the stars turn in the opposite direction.
+    expected = -Rotation.from_matrix(after @ before.T).as_rotvec() / 1e-3
+    assert np.linalg.norm(expected) > 0.1
+    # UTC in seconds is rounded to 2.4e-7 s: of a millisecond 5e-4.
+    np.testing.assert_allclose(truth(simulator.scene(exposure))["rates_rad_per_s"], expected, rtol=1e-3, atol=1e-4)
+
+
 @pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
 @pytest.mark.parametrize("duration_s", [0.3, 0.05])
 def test_stars_beside_the_image_are_recorded_as_by_the_row_at_its_border(readout, duration_s):
@@ -151,6 +165,37 @@ def test_stars_beside_the_image_are_recorded_as_by_the_row_at_its_border(readout
     beyond = along > (240 if readout in {"down", "up"} else 320)
     np.testing.assert_allclose(found.opens_s[beyond], 0.1, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.closes_s[beyond], duration_s + 0.1, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
+def test_stars_that_move_on_lines_are_recorded_when_their_rows_meet_them(readout):
+    """A star at row y + v t opens at t = tau (y + v t), and closes the exposure time later than its row opens."""
+    exposure = Exposure(NIGHT_UTC_S, 0.05, 200.0, "analytic", 0.1, readout)
+    at_start_px, px_per_s = np.array([[40.0, 100.0, 250.0], [30.0, 120.0, 200.0]]), np.array([[90.0], [-60.0]])
+    times_s = np.array([0.0, 0.02, 0.07, 0.11, exposure.span_s])
+    path_px = at_start_px[:, np.newaxis] + px_per_s[:, :, np.newaxis] * times_s[:, np.newaxis]
+    found = OpenPath.along(path_px, times_s, exposure, LENS)
+    axis, last = (1, 239) if readout in {"down", "up"} else (0, 319)
+    is_back, tau_s = readout in {"up", "left"}, 0.1 / last
+    row = last - at_start_px[axis] if is_back else at_start_px[axis]
+    speed = -px_per_s[axis, 0] if is_back else px_per_s[axis, 0]
+    for since_s, end_s, end_px in ((0.0, found.opens_s, found.first_px), (0.05, found.closes_s, found.last_px)):
+        expected_s = (since_s + tau_s * row) / (1 - tau_s * speed)
+        np.testing.assert_allclose(end_s, expected_s, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(end_px, at_start_px + px_per_s * expected_s, rtol=0, atol=1e-9)
+
+
+def test_the_first_time_after_an_opening_and_a_closing_is_found_by_every_time() -> None:
+    rng = np.random.default_rng(6)
+    since_s = np.cumsum(rng.normal(0.1, 0.3, (9, 400)), axis=0) - rng.uniform(0, 1.5, 400)
+    since_s[0, :5], since_s[-1, 5:10], since_s[3, 10:15], since_s[4, 15:20] = 0.0, 0.0, 0.0, 0.4
+    found = _first_after(since_s, since_s[:, ::-1], 0.4)
+    for star in range(400):
+        column, other = since_s[:, star], since_s[::-1, ::-1][:, star]
+        # Open at the last time or never; not closed at the first time or closed from before it.
+        opening = next(k for k in range(9) if column[k] >= 0) if column[-1] >= 0 else 9
+        closing = 9 - next(k for k in range(9) if other[k] <= 0.4) if other[-1] <= 0.4 else 0
+        assert (found[0][star], found[1][star]) == (min(max(opening, 1), 8), min(max(closing, 1), 8))
 
 
 def test_the_truth_of_a_global_shutter_has_no_rows():

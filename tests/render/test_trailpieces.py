@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.pointspread import TRUNCATION_DN
@@ -20,6 +21,7 @@ from glstar.render.readout.pieces import (
     trail_pieces,
 )
 from glstar.render.scene.bodies import BODIES
+from glstar.render.truth.linechains import normal_from_middle
 from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
 from tests.support.scenes import NIGHT_UTC_S
 
@@ -250,3 +252,10 @@ def test_stars_whose_sprites_are_larger_than_the_driver_draws_are_drawn_in_segme
     assert divided.rest.draw_list.truncation_radius_px.max() == 40.0
     assert len(drawn) + len(divided.rest.draw_list) == len(radius_px)
     assert len(drawn) > 0
+
+
+def test_the_integral_of_a_gaussian_is_that_of_scipy():
+    z = np.concatenate([np.linspace(-9.0, 9.0, 3001), [-1e-3, 0.0, 1e-3]]).astype(np.float32)
+    np.testing.assert_allclose(
+        normal_from_middle(z.copy()), erf(z.astype(np.float64) / np.sqrt(2)) / 2, rtol=0, atol=3e-7
+    )

@@ -7,6 +7,7 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import RenderError
+from glstar.render.effects import cloud
 from glstar.render.truth.conditions import conditions_report, viewing_conditions
 from glstar.sky.observed.solarsystem import observed_bodies
 from glstar.sky.place.timescale import parse_utc
@@ -45,6 +46,15 @@ def test_the_sun_and_the_moon_are_those_of_the_ephemeris(utc: str) -> None:
     assert found.moon_illuminated_fraction == pytest.approx(moon.illuminated_fraction, abs=1e-4)
     assert found.moon_separation_rad == pytest.approx(np.arccos(axis_ned @ moon_ned), abs=np.deg2rad(0.02))
     assert found.axis_altitude_rad == pytest.approx(np.arcsin(-axis_ned[2]), abs=np.deg2rad(0.01))
+
+
+def test_the_sky_is_sampled_evenly_over_the_image() -> None:
+    x_px, y_px = np.moveaxis(LENS.project(cloud._rays(LENS)).reshape(37, 49, 2), -1, 0)
+    # The middles of 49 parts of 320 columns and of 37 parts of 240 rows; the first pixel begins at -0.5.
+    for position_px, side_px, count in ((x_px, 320, 49), (y_px.T, 240, 37)):
+        edges_px = np.linspace(-0.5, side_px - 0.5, count + 1)
+        middles_px = np.broadcast_to((edges_px[1:] + edges_px[:-1]) / 2, position_px.shape)
+        np.testing.assert_allclose(position_px, middles_px, rtol=0, atol=1e-9)
 
 
 def test_one_line_says_the_light_the_sun_and_the_moon() -> None:

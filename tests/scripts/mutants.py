@@ -13,7 +13,7 @@ fail without a fault or a snippet does not occur exactly once.
 
 The tests of a random fault are those of the folder that mirrors its package; the quick ones of the files that import it
 run first.  The first that fails runs again without the fault: if it fails there too, or the tests take longer than
---slowest-s, the fault is not judged.
+--slowest-s, the fault is not judged.  With --importing the folder is left out where tests import the file.
 """
 
 import argparse
@@ -171,20 +171,21 @@ class Workers:
         with self.one() as checkout:
             return checkout.failures(tests) if tests else []
 
-    def judged(self, fault: Fault, slowest_s: float) -> Outcome:
-        """Return the result for a fault whose tests have not run without it."""
+    def judged(self, fault: Fault, slowest_s: float, *, importing: bool = False) -> Outcome:
+        """Return the result for a fault whose tests have not run without it; `importing`: of tests that import it."""
         began_s = time.monotonic()
+        tests = fault.likely if importing and fault.likely else fault.tests
         with self.one() as checkout:
             with checkout.broken_by(fault):
                 failed = (
                     checkout.failures(fault.likely, "-x", "-m", "not slow", slowest_s=slowest_s) if fault.likely else []
                 )
-                failed = failed or checkout.failures(fault.tests, "-x", slowest_s=slowest_s)
+                failed = failed or checkout.failures(tests, "-x", slowest_s=slowest_s)
             unjudged = ""
             if failed and failed[0].startswith("no end"):
                 unjudged = failed[0]
             elif failed and (named := failed[0].partition(" ")[2].partition(" - ")[0]).startswith("tests/"):
-                unjudged = "fails without a fault too" if checkout.failures([named]) else ""
+                unjudged = f"{named} fails without a fault too" if checkout.failures([named]) else ""
         return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s, unjudged)
 
     def outcome(self, fault: Fault) -> Outcome:
@@ -229,12 +230,12 @@ def random_faults(count: int, seed: int, only: Sequence[str]) -> list[Fault]:
     return faults
 
 
-def run_random(faults: Sequence[Fault], workers: int, slowest_s: float) -> int:
+def run_random(faults: Sequence[Fault], workers: int, slowest_s: float, *, importing: bool) -> int:
     """Inject random faults and print the result of each; return the exit status."""
     with tempfile.TemporaryDirectory(prefix="glstar-mutants-") as folder, ThreadPoolExecutor(workers) as pool:
         checkouts = Workers(Path(folder), workers)
         outcomes = []
-        for outcome in pool.map(lambda fault: checkouts.judged(fault, slowest_s), faults):
+        for outcome in pool.map(lambda fault: checkouts.judged(fault, slowest_s, importing=importing), faults):
             word = outcome.unjudged or ("survived" if outcome.caught_by is None else "caught")
             print(f"{word:8}  {outcome.seconds:5.1f} s  {outcome.fault.name}  {outcome.fault.means}", flush=True)
             if not outcome.unjudged:
@@ -264,13 +265,16 @@ def main() -> int:
     parser.add_argument("--random", type=int, metavar="N", help="draw N faults at random from the sources")
     parser.add_argument("--seed", type=int, default=0, help="seed of --random")
     parser.add_argument("--slowest-s", type=float, default=3 * SLOWEST_S, help="longest run for a random fault, s")
+    parser.add_argument(
+        "--importing", action="store_true", help="run only the tests that import the file: minutes, fewer are caught"
+    )
     wanted = parser.parse_args()
     if wanted.random is not None:
         drawn = random_faults(wanted.random, wanted.seed, wanted.only or ())
         if wanted.list:
             print(*(f"{fault.name}: {fault.means}" for fault in drawn), sep="\n")
             return 0
-        return run_random(drawn, max(1, wanted.workers), wanted.slowest_s)
+        return run_random(drawn, max(1, wanted.workers), wanted.slowest_s, importing=wanted.importing)
     faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
     if not faults:
         parser.error(f"no fault is called {' or '.join(wanted.only)}; --list names them")

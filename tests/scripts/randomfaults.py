@@ -53,6 +53,8 @@ _NO_EFFECT = frozenset({"strict", "axis", "optimize", "assume_unique", "daemon",
 _SPEED = re.compile(r"CACHE|_BYTES|BLOCK|CHUNK|TIMEOUT|_COLOU?RS?$")
 # Folders of tests beside the one that mirrors a package.
 _ALSO = {"render": ("gl", "golden"), "arrays": ("base",), "errors": ("base",), "rotation": ("base",)}
+# If more files of other folders import a file, theirs are left out: a run would take as long as the whole suite.
+_MANY_IMPORTING = 12
 # Most lines that a snippet is extended by until it occurs once.
 _MOST_CONTEXT = 12
 
@@ -232,23 +234,42 @@ def _tests() -> dict[str, str]:
 
 
 @cache
-def tests_of(file: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the tests that belong to a file, of the folders that mirror its package, and those that import it.
+def _imports() -> dict[str, frozenset[str]]:
+    """Return what every test file imports, as dotted names, by its path."""
+    imported = {}
+    for test, text in _tests().items():
+        nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+        imported[test] = frozenset(f"{node.module}.{name.name}" for node in nodes for name in node.names)
+    return imported
 
-    The commands have no folder: theirs are the tests that import the file or name the command.
+
+@cache
+def tests_of(file: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the tests that belong to a file: those that import it, and all of the folders that mirror its package.
+
+    The second result has those that import the file, or what it defines from a package above it.  Tests of other
+    folders count unless many import the file.  The commands have no folder: theirs are the tests that import the file
+    or name the command.
     """
     parts = Path(file).with_suffix("").parts
-    package, room, name = parts[1], ".".join(parts[:-1]), parts[-1]
-    module = room if name == "__init__" else f"{room}.{name}"
-    imports = re.compile(rf"\b{re.escape(module)}\b(?!\.)|from {re.escape(room)} import .*\b{name}\b")
-    if package == "cli":
-        command = re.compile(rf"{imports.pattern}|[\"']{re.escape(name)}[\"']")
-        named = tuple(test for test, text in _tests().items() if command.search(text))
+    parts = parts[:-1] if parts[-1] == "__init__" else parts
+    module = re.compile(rf"\b{re.escape('.'.join(parts))}\b(?!\.[a-z])")
+    body = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
+    defined = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    names = {".".join((*parts[:k], name)) for k in range(1, len(parts) + 1) for name in defined}
+    names.add(".".join(parts))
+    importing = [test for test, text in _tests().items() if names & _imports()[test] or module.search(text)]
+    if parts[1:2] == ("cli",):
+        command = re.compile(rf"[\"']{re.escape(parts[-1])}[\"']")
+        named = tuple(test for test, text in _tests().items() if test in importing or command.search(text))
         return named, named
-    folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())))
-    mirrored = {test: text for test, text in _tests().items() if test.startswith(folders)}
-    importing = tuple(test for test in mirrored if imports.search(mirrored[test]))
-    return (*importing, *(test for test in mirrored if test not in importing)), importing
+    package = parts[1] if len(parts) > 1 else ""
+    folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())) if folder)
+    importing.sort(key=lambda test: not test.startswith(folders))
+    mirrored = [test for test in _tests() if test.startswith(folders)]
+    if len(set(importing) - set(mirrored)) > _MANY_IMPORTING:
+        importing = [test for test in importing if test in mirrored]
+    return tuple(dict.fromkeys([*importing, *mirrored])), tuple(importing)
 
 
 def drawn_changes(count: int, seed: int, only: Sequence[str] = ()) -> Iterator[tuple[Change, str, str]]:

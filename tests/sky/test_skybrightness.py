@@ -171,6 +171,8 @@ def test_truth_says_what_lights_the_sky() -> None:
     assert line["moon_separation_deg"] < 0.1
     np.testing.assert_allclose(line["moon_illuminated_fraction"], 0.627, rtol=0, atol=1e-3)
     assert line["sky_mag_arcsec2"] < 16
+    keys = ("sun_altitude_deg", "moon_altitude_deg", "moon_illuminated_fraction", "sky_mag_arcsec2")
+    assert all(line[key] == round(line[key], 4) != round(line[key], 3) for key in keys)
 
 
 @pytest.mark.parametrize(("utc", "mag"), [("2024-03-18T09:30:00Z", 14.0), ("2024-03-18T02:00:00Z", 4.0)])

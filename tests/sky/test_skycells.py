@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from glstar.sky.catalogue.starfield import SkyCells
+from tests.support.scenes import star_field
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +23,13 @@ def test_a_cone_holds_exactly_the_stars_found_by_brute_force(cells: SkyCells, ra
         unit = axis / np.linalg.norm(axis)
         inside = np.flatnonzero(cells.directions @ unit > np.cos(np.deg2rad(radius_deg)))
         np.testing.assert_array_equal(cells.within(unit, np.deg2rad(radius_deg)), inside)
+
+
+def test_the_stars_of_a_field_cannot_be_changed() -> None:
+    field = star_field(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    for array in (field.star_id, field.vmag, field.direction_eq, field.C_eq_icrs, field.camera_mag):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
 
 
 def test_each_direction_is_in_one_cell_and_within_its_radius(cells: SkyCells) -> None:

@@ -55,3 +55,14 @@ def test_directions_are_turned_to_ecliptic_and_galaxy():
     )
     assert one[0] == pytest.approx(180, rel=1e-6)
     assert other[1] == pytest.approx(float(galaxy_s10(np.deg2rad(287.0), 0.0)), rel=1e-6)
+
+
+def test_light_has_the_shape_of_its_directions():
+    directions = np.random.default_rng(1).normal(size=(4, 5, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    options = {"zodiacal": True, "galaxy": True, "drawn_mag": 6.5}
+    found = beyond_the_air_s10(directions, np.array([0.0, 0.0, 1.0]), **options)
+    each = [beyond_the_air_s10(one[np.newaxis], np.array([0.0, 0.0, 1.0]), **options)[0] for one in directions[2]]
+    np.testing.assert_allclose(found[2], each, rtol=1e-12)
+    none = beyond_the_air_s10(directions, np.array([0.0, 0.0, 1.0]), zodiacal=False, galaxy=False, drawn_mag=6.5)
+    np.testing.assert_array_equal(none, np.zeros((4, 5)))

@@ -13,6 +13,7 @@ from glstar.rotation import euler_from_quaternion
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry import open_flight, open_source, survey
+from glstar.telemetry.tables.tableclock import first_of_each_time, has_whole_seconds, in_first_second, valid_rows
 from tests.support.tablefiles import START_S, largest_error_s, make_table
 
 # tests/scripts/strange_flights.py makes thousands of others.
@@ -343,3 +344,51 @@ def test_a_table_of_numbers_without_header_gets_a_hint(tmp_path: Path, numbers: 
 
     with pytest.raises(LogFormatError, match=f"no header but {numbers} numbers; .*{hint}"):
         open_flight(tmp_path / "poses.txt")
+
+
+@pytest.mark.parametrize(
+    ("utc_s", "are_whole"),
+    [
+        ([], False),
+        ([np.nan], False),
+        ([5.0], True),
+        ([5.0, 6.25], False),  # half is not most
+        ([5.0, 6.25, 7.0, np.nan], True),
+        ([5.25, 6.25, 7.0, 8.75], False),
+        ([START_S, START_S + 1, START_S + 1.5], True),
+    ],
+)
+def test_most_readings_have_whole_seconds_or_not(utc_s: list[float], are_whole: bool) -> None:
+    assert has_whole_seconds(np.array(utc_s)) == are_whole
+
+
+def test_the_first_row_of_each_time_is_found_but_not_of_a_first_one_that_is_held() -> None:
+    nan = np.nan
+    # The first value may have been held before the table began: its rows do not say when it was first.
+    np.testing.assert_array_equal(
+        first_of_each_time(np.array([5.0, 5.0, nan, 6.0, 6.0, 7.0, 7.0])), [0, 0, 0, 1, 0, 1, 0]
+    )
+    np.testing.assert_array_equal(first_of_each_time(np.array([nan, 5.0, 6.0, 6.0, 7.0])), [0, 1, 1, 0, 1])
+    np.testing.assert_array_equal(first_of_each_time(np.array([5.0, 5.0])), [1, 0])
+    np.testing.assert_array_equal(first_of_each_time(np.array([5.0, 6.0, 6.0, 7.0, 7.0])), [0, 1, 0, 1, 0])
+
+
+def test_rows_of_the_first_second_are_those_that_repeat_it() -> None:
+    truncated = np.repeat(np.arange(5.0, 9.0), 10)[3:]
+    np.testing.assert_array_equal(in_first_second(truncated), np.arange(37) < 7)
+    assert not in_first_second(truncated + 0.3).any()
+    assert not in_first_second(np.arange(5.0, 40.0)).any()
+    assert not in_first_second(np.full(20, 5.0)).any()
+
+
+@pytest.mark.parametrize(("rows", "glitches", "are_found"), [(5000, 40, True), (5000, 150, False), (500, 15, True)])
+def test_times_that_are_wrong_for_a_row_are_not_valid_unless_a_fiftieth_are(rows, glitches, are_found) -> None:
+    """A table with more steps back than a fiftieth of its rows is not sorted: all finite times are valid."""
+    clock_s = np.arange(rows) / 10
+    wrong = np.linspace(10, rows - 10, glitches).astype(int)
+    clock_s[wrong] -= 400.0
+    clock_s[5] = np.nan
+    expected = np.isfinite(clock_s)
+    if are_found:
+        expected[wrong] = False
+    np.testing.assert_array_equal(valid_rows(clock_s), expected)

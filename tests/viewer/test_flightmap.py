@@ -4,12 +4,23 @@ from math import acos, cos, radians, sin, sqrt, tan
 
 import numpy as np
 import pytest
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
+from pyproj import Proj
 
 from glstar.camera.model import Camera
 from glstar.sky.place.site import Site, geodetic, local_ned_m
 from glstar.system.resources import asset
-from glstar.viewer.flight.map import Coastlines, MapLimits, graticule, ground_footprint
+from glstar.viewer.flight.map import (
+    _EARTH_M,
+    Coastlines,
+    GraticuleLine,
+    MapLimits,
+    _bounds_deg,
+    _label,
+    graticule,
+    ground_footprint,
+)
+from glstar.viewer.ui.panels import flight as flightpanel
 from tests.support.windowinput import press, screen
 from tests.viewer.test_fitpanel import pressing
 from tests.viewer.test_flightpanel import _pixels_of, _write
@@ -145,6 +156,103 @@ def _frames(viewer, count=3):
 def _show_flight(viewer):
     imgui.set_window_focus("Flight")
     return _frames(viewer, 4)
+
+
+@pytest.mark.parametrize("origin_deg", [(-35.0, 138.6), (0.0, 179.9), (62.0, -10.0), (-89.0, 20.0), (89.9, 0.0)])
+@pytest.mark.parametrize("half_m", [300.0, 2e4, 1e6])
+def test_the_graticule_reaches_a_sixteenth_beyond_the_map(origin_deg, half_m):
+    """Every point of a part of the map, which lies south-east of its origin, on PROJ's orthographic map of a sphere."""
+    origin = Site(radians(origin_deg[0]), radians(origin_deg[1]))
+    limits = MapLimits(-half_m, 3 * half_m, -2 * half_m, half_m)
+    south, north, west, east = _bounds_deg(origin, limits)
+    ortho = Proj(proj="ortho", lat_0=origin_deg[0], lon_0=origin_deg[1], R=_EARTH_M)
+    x_m, y_m = np.meshgrid(np.linspace(-half_m, 3 * half_m, 401), np.linspace(-2 * half_m, half_m, 401))
+    longitude_deg, latitude_deg = ortho(x_m, y_m, inverse=True)
+    margin_deg = np.rad2deg(max(4, 3) * half_m / _EARTH_M) / 16
+    x_pole_m, y_pole_m = ortho(0.0, np.copysign(90.0, origin_deg[0]))
+    if abs(x_pole_m) < half_m and -2 * half_m < y_pole_m < half_m:
+        assert (east - west, (north, -south)[origin_deg[0] < 0]) == (360.0, 90.0)
+    else:
+        off_deg = (longitude_deg - origin_deg[1] + 180) % 360 - 180 + origin_deg[1]
+        wide_deg = margin_deg / max(cos(origin.latitude_rad), 0.02)
+        assert west == pytest.approx(off_deg.min() - wide_deg, rel=0, abs=0.01 * wide_deg)
+        assert east == pytest.approx(off_deg.max() + wide_deg, rel=0, abs=0.01 * wide_deg)
+    if north < 90:
+        assert north == pytest.approx(latitude_deg.max() + margin_deg, rel=0, abs=0.01 * margin_deg)
+    if south > -90:
+        assert south == pytest.approx(latitude_deg.min() - margin_deg, rel=0, abs=0.01 * margin_deg)
+    assert -90 <= south < north <= 90
+
+
+@pytest.mark.parametrize(
+    ("value_deg", "step_deg", "sides", "label"),
+    [
+        (138.6, 0.1, "EW", "138.6°E"),
+        (-138.6, 0.2, "EW", "138.6°W"),
+        (-34.925, 0.005, "NS", "34.925°S"),
+        (30.0, 10.0, "NS", "30°N"),
+        (0.0, 0.01, "NS", "0.00°"),
+        (180.0, 1.0, "EW", "180°"),
+        (-180.0, 1.0, "EW", "180°"),
+        (-179.0, 1.0, "EW", "179°W"),
+        (0.1, 0.1, "EW", "0.1°E"),
+    ],
+)
+def test_lines_of_the_graticule_have_the_digits_of_their_step(value_deg, step_deg, sides, label):
+    assert _label(value_deg, step_deg, sides) == label
+
+
+class _PlotOfText:
+    """A plot of 400 x 300 px at (100, 50), 1 px a metre, north up, and text of 40 x 10 px: records labels."""
+
+    def __init__(self):
+        self.labels = []
+
+    def plot_to_pixels(self, east_m, north_m):
+        return ImVec2(100.0 + east_m, 350.0 - north_m)
+
+    def get_plot_pos(self):
+        return ImVec2(100.0, 50.0)
+
+    def get_plot_size(self):
+        return ImVec2(400.0, 300.0)
+
+    def calc_text_size(self, _text):
+        return ImVec2(40.0, 10.0)
+
+    def get_color_u32(self, _colour):
+        return 0
+
+    def get_plot_draw_list(self):
+        return self
+
+    def add_text(self, corner, _colour, text):
+        self.labels.append((text, corner.x, corner.y))
+
+
+@pytest.mark.parametrize(
+    ("is_parallel", "xy_m", "expected"),
+    [
+        # Above the left end of a parallel, inside the plot, but not on the lowest lines of text nor above the plot.
+        (True, [(-50.0, 150.0), (20.0, 150.0), (390.0, 150.0)], (103.0, 190.0)),
+        (True, [(0.0, 35.0), (400.0, 35.0)], (103.0, 305.0)),
+        (True, [(0.0, 15.0), (400.0, 15.0)], None),
+        (True, [(0.0, 295.0), (400.0, 295.0)], None),
+        (True, [(0.0, 310.0), (400.0, 310.0)], None),
+        # In the middle below a meridian's lower end, moved into the plot.
+        (False, [(200.0, -10.0), (200.0, 5.0), (200.0, 290.0)], (280.0, 333.0)),
+        (False, [(1.0, 0.0), (1.0, 290.0)], (103.0, 338.0)),
+        (False, [(399.0, 0.0), (399.0, 290.0)], (457.0, 338.0)),
+        (False, [(np.nan, np.nan), (401.0, 0.0)], None),
+    ],
+)
+def test_a_line_of_the_graticule_is_labelled_at_its_end_in_the_plot(monkeypatch, is_parallel, xy_m, expected):
+    plot = _PlotOfText()
+    monkeypatch.setattr(flightpanel, "implot", plot)
+    monkeypatch.setattr(flightpanel, "imgui", plot)
+    line = GraticuleLine("label", is_parallel, np.array(xy_m))
+    flightpanel._draw_label(line, MapLimits(0.0, 400.0, 0.0, 300.0), (1.0, 1.0, 1.0, 1.0))
+    assert plot.labels == ([] if expected is None else [("label", *expected)])
 
 
 def test_the_wheel_zooms_out_to_the_coast_and_a_double_click_returns(make_viewer, tmp_path):

@@ -80,7 +80,7 @@ def dilution(trail_px: Float, sigma_px: float) -> Float:
     `trail_px` (n, 2): vector from one end of the trail to the other, px; `sigma_px`: standard deviation of the point
     spread function, px.  Returns (n,): 1 for a star at rest.
     """
-    length = np.maximum(np.linalg.norm(trail_px, axis=1), 1e-6 * sigma_px)
+    length = np.maximum(np.linalg.norm(trail_px, axis=1), 1e-6)
     return np.asarray(sigma_px * np.sqrt(2 * np.pi) / length * erf(length / (2 * np.sqrt(2) * sigma_px)))
 
 

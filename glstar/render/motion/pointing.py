@@ -256,8 +256,6 @@ class MotionTable:
     # At the start, the middle and the end of the first part, which is the start of the second, and so on: 2 n + 1
     # times.
     pointing: Pointing
-    # (3,) or None: the angular rate of the camera in the middle of the exposure: see `rates_rad_per_s`.
-    rates_rad_per_s: Float | None = None
 
     @classmethod
     def of(cls, motion: CameraMotion, exposure: Exposure) -> Self | None:
@@ -277,10 +275,8 @@ class MotionTable:
         times_s = np.empty(2 * len(ends_s) - 1)
         times_s[::2] = ends_s
         times_s[1::2] = (ends_s[1:] + ends_s[:-1]) / 2
-        around_s = _around_middle_s(exposure)
-        times_s = np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s)
-        pointing, around = motion.pointings(times_s, around_s)
-        return cls(ends_s, pointing, _rates_rad_per_s(around, around_s))
+        (pointing,) = motion.pointings(np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s))
+        return cls(ends_s, pointing)
 
     @cached_property
     def _coefficients(self) -> Float:
@@ -315,18 +311,9 @@ def rates_rad_per_s(motion: CameraMotion, exposure: Exposure) -> Float:
 
     About its right, down and forward axes.
     """
-    around_s = _around_middle_s(exposure)
-    return _rates_rad_per_s(motion.pointings(around_s)[0], around_s)
-
-
-def _around_middle_s(exposure: Exposure) -> Float:
-    """Return two times around the middle of an exposure, UTC seconds since 1970."""
     step_s = min(_RATE_STEP_S, exposure.span_s / 2)
-    return np.array([exposure.mid_utc_s - step_s, exposure.mid_utc_s + step_s])
-
-
-def _rates_rad_per_s(around: Pointing, times_s: Float) -> Float:
-    before, after = around.C_camera_eq
+    times_s = np.array([exposure.mid_utc_s - step_s, exposure.mid_utc_s + step_s])
+    before, after = motion.pointings(times_s)[0].C_camera_eq
     return np.asarray(turn_from_matrix(after @ before.T) / (times_s[1] - times_s[0]))
 
 

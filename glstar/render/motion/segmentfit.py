@@ -7,6 +7,7 @@ least squares, so that no star anywhere on the image is farther than a tolerance
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 from typing import Self
 
 import numpy as np
@@ -148,7 +149,9 @@ def fitted_segments(
     at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
     # Narrower stars show smaller displacements.
     tolerance_px *= min(1.0, psf_sigma_px / LIMITS.sigma_px)
-    samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))
+    # An even number, so that the middle of each interval is a sample.
+    parts = 2 * ceil(LIMITS.min_samples / (2 * (len(nodes_s) - 1)))
+    samples = SampledMotion.of(motion, nodes_s, parts)
     knots_s = samples.search(camera, tolerance_px, samples.strictness(readout_s, at_ends))
     for _ in range(LIMITS.rounds):
         samples = samples.resolving(motion, knots_s)
@@ -252,7 +255,7 @@ class SampledMotion:
     def _longest(self, times_s: Float, turns_px: Float, limit_px: Float) -> Integer:
         """Return the most intervals of a segment from each node of a block, given the limit at each sample, (n,)."""
         last = (len(times_s) - 1) // self.parts
-        t = (times_s - times_s[0]) / (times_s[-1] - times_s[0])
+        t = times_s - times_s[0]
         longest = np.ones(last + 1, dtype=np.intp)
         axes_px = np.ascontiguousarray(turns_px.T)
         if _follow(t[:, np.newaxis], axes_px[:, :, np.newaxis], limit_px[:, np.newaxis])[0]:

@@ -120,9 +120,7 @@ class RowTimeSearch:
         forward axes.
         """
         exposure = self._scene.exposure
-        rates = None if self._shorts or self._table is None else self._table.rates_rad_per_s
-        if rates is None:
-            rates = rates_rad_per_s(self._motion, exposure)
+        rates = rates_rad_per_s(self._motion, exposure)
         return {"readout_s": exposure.readout_s, "readout": exposure.readout, "rates_rad_per_s": rates.tolist()}
 
     def times(self, direction_eq: Float) -> RecordedTimes:

@@ -26,10 +26,13 @@ from glstar.render.scene.starcomponents import drawn_peak_dn
 
 # Widths of reduced pixels, px, the finest first.
 SCALES = (2, 4)
-# Largest error of the profile of a long trail, relative to its peak, by standard deviations of the star in reduced
-# pixels: of slanted and upright trails at any position, measured with `drawn_variance_px2`.
+# Largest error of the profile of a long trail, relative to its peak, by the width of reduced pixels and the star's
+# standard deviation in them: of slanted and upright trails at any position, with `drawn_variance_px2`.
 _WIDTHS = (0.25, 0.31, 0.375, 0.5, 0.62, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 4.0)
-_ERRORS = (0.70, 0.62, 0.53, 0.38, 0.20, 0.16, 0.09, 0.06, 0.04, 0.022, 0.014, 0.006)
+_ERRORS = {
+    2: (0.67, 0.59, 0.50, 0.34, 0.20, 0.12, 0.065, 0.041, 0.028, 0.016, 0.010, 0.004),
+    4: (0.70, 0.62, 0.55, 0.39, 0.25, 0.16, 0.090, 0.056, 0.039, 0.022, 0.014, 0.0055),
+}
 # Largest error of a trail, DN.
 LARGEST_ERROR_DN = TRUNCATION_DN
 # Variance of what is drawn in units of a reduced pixel squared: from 0.35 on, samples of a Gaussian add up to its flux
@@ -102,7 +105,7 @@ def _pixel_widths(scene: Scene) -> NDArray[np.int8]:
     is_long = drawn.min_trail_px > _LONG_SIGMA * sigma_px
     peak_dn = sensor.max_trail_peak_dn(drawn_peak_dn(scene), drawn.min_trail_px)
     for scale in SCALES:
-        error = np.interp(sigma_px / scale, _WIDTHS, _ERRORS, left=np.inf)
+        error = np.interp(sigma_px / scale, _WIDTHS, _ERRORS[scale], left=np.inf)
         is_faint = is_long & (error * peak_dn < LARGEST_ERROR_DN)
         if scale == SCALES[0] or np.count_nonzero(is_faint) >= _FEWEST:
             widths_px[is_faint] = scale

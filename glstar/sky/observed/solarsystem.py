@@ -41,7 +41,6 @@ _VENUS = (-4.384, -1.044e-3, 3.687e-4, -2.814e-6, 8.938e-9)
 _VENUS_CRESCENT = (236.05828, -2.81914, 8.39034e-3)  # above 163.7 deg
 _EARTH = (-3.99, -1.060e-3, 2.054e-4)
 _MARS = (-1.601, 2.267e-2, -1.302e-4)
-_MARS_GIBBOUS = (-0.367, -0.02573, 3.445e-4)  # above 50 deg, not seen from the Earth
 _JUPITER = (-9.395, -3.7e-4, 6.16e-4)
 
 # North poles of rotation, J2000, deg: the IAU's working group on cartographic coordinates.
@@ -127,7 +126,7 @@ def planet_vmag(name: str, from_sun_au: Float, from_observer_au: Float, phase_an
         case "Venus":
             at_1_au = _series(_VENUS if a < 163.7 else _VENUS_CRESCENT, a)
         case "Mars":
-            at_1_au = _series(_MARS if a <= 50 else _MARS_GIBBOUS, a)
+            at_1_au = _series(_MARS, a)  # up to 50 deg: from the Earth it is at most 47 deg
         case "Jupiter":
             at_1_au = _series(_JUPITER, a)
         case "Saturn":

@@ -120,7 +120,7 @@ class Canvas:
         self.selected = ""
         self.label_clear_px = 0.0
         self.camera: Camera = scene.camera
-        complete = ImageRegion(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
+        complete = ImageRegion.complete(self.camera)
         self.region = complete if region is None else complete.intersection(region)
         self.screen_px = 1 / zoom
         self.middle = scene.shutter[1:2]

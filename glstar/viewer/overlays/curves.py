@@ -48,6 +48,11 @@ class ImageRegion(NamedTuple):
     right_px: float
     bottom_px: float
 
+    @classmethod
+    def complete(cls, camera: Camera) -> Self:
+        """Return the region of the complete image."""
+        return cls(-0.5, -0.5, camera.width_px - 0.5, camera.height_px - 0.5)
+
     def contains(self, xy_px: Float) -> NDArray[np.bool_]:
         """Return which of some positions (..., 2) lie in the region; NaN is outside."""
         x, y = xy_px[..., 0], xy_px[..., 1]

@@ -45,10 +45,15 @@ def test_an_orbit_has_its_radius_on_the_ellipsoid() -> None:
     np.testing.assert_allclose(np.linalg.norm(flown - centre, axis=1), 600.0, rtol=0, atol=0.05)
 
 
-def test_one_turn_is_the_default_of_an_orbit() -> None:
-    flight = synthetic("orbit", turns=2.0).flight()
-
-    assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(2 * 2 * np.pi * 150 / 18, abs=0.01)
+@pytest.mark.parametrize("guidance", ["ground", "attitude"])
+def test_an_orbit_takes_the_time_of_its_turns(guidance: str) -> None:
+    for turns, settings in ((1.0, {}), (2.0, {"turns": 2.0})):
+        made = synthetic("orbit", guidance=guidance, **settings)
+        attitude = made.flight().attitude
+        assert attitude.last_s - attitude.first_s == pytest.approx(turns * 2 * np.pi * 150 / 18, abs=0.01)
+        assert made.length_s == pytest.approx(attitude.last_s - attitude.first_s, abs=1e-6)
+        # After full turns the aircraft has the attitude of the start.
+        assert np.linalg.norm(turn_between(attitude.q_body_ned[:1], attitude.q_body_ned[-1:])) < 1.5e-3
 
 
 def test_the_same_seed_gives_the_same_flight_and_another_seed_another() -> None:

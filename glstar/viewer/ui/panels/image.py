@@ -203,11 +203,8 @@ class ImagePanel:
         scene, view = session.scene, session.view
         if scene is None or session.loaded is None or not session.shown_overlays:
             return
-        camera = scene.camera
-        (left, top), (right, bottom) = view.to_picture([[0.0, 0.0], [clip[2] - clip[0], clip[3] - clip[1]]])
-        region = ImageRegion(
-            max(left, -0.5), max(top, -0.5), min(right, camera.width_px - 0.5), min(bottom, camera.height_px - 0.5)
-        )
+        first, last = view.to_picture([[0.0, 0.0], [clip[2] - clip[0], clip[3] - clip[1]]]).tolist()
+        region = ImageRegion.complete(scene.camera).intersection(ImageRegion(*first, *last))
         if region.left_px >= region.right_px or region.top_px >= region.bottom_px:
             return
         residuals = residuals_of(session)
@@ -229,7 +226,7 @@ class ImagePanel:
         def to_screen(xy_px: ArrayLike) -> Float:
             return view.to_screen(xy_px) + corner
 
-        edges = view.edges(camera.width_px, camera.height_px) + corner
+        edges = view.edges(scene.camera.width_px, scene.camera.height_px) + corner
         (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
         draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
 
