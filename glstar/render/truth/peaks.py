@@ -87,7 +87,7 @@ _AROUND_SIGMA = (0.6, 0.3)
 _WORTHWHILE = 0.9
 _EVEN = 1.003
 _SYMMETRIC = 0.05
-# Signals that differ by less than the rest of this are the same.
+# Signals that are at least this part of the largest are the same.
 _SAME = 0.995
 
 
@@ -204,8 +204,8 @@ def _largest_signal(
     for middle_px, step_px, promised in zip(points.point_px, points.step_px, points.promised_per_px2, strict=True):
         # Where a trail is steady, the other lines that promise the same are as bright.
         is_same = is_even & (promised > _SAME * points.promised_per_px2[0])
-        middle_px = np.where(is_same[:, np.newaxis], FAR_PX, middle_px)
-        searches.append(_Search.along(scene.camera, scene.sensor.effective_sigma_px, parts, middle_px, step_px))
+        at_px = np.where(is_same[:, np.newaxis], FAR_PX, middle_px)
+        searches.append(_Search.along(scene.camera, scene.sensor.effective_sigma_px, parts, at_px, step_px))
         is_even = ~searches[0].may_gain
     largest: Float = np.max([search.largest for search in searches], axis=0)
     promising = _WORTHWHILE * largest
