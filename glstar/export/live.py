@@ -106,7 +106,7 @@ class LiveExport:
         )
         self._stopping = Event()
         self._drawn: list[int] = []
-        self._preview_due_s = 0.0
+        self._preview_due_s = -inf
         self._late = 0
         self._lacked, self._report_after_s = "", inf
 

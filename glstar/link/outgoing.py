@@ -25,7 +25,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
-from math import hypot, isfinite, nan, pi
+from math import hypot, inf, isfinite, nan, pi
 from typing import Any, Literal
 
 import numpy as np
@@ -334,7 +334,7 @@ class Injector:
         self._first: tuple[int, float] | None = None
         self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
-        self._asked: tuple[Sender | None, int, float] = (None, 0, 0.0)
+        self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
         # The boot in which the user was warned.
         self._warned_boot: int | None = None
         self._mavlink = dialect()
