@@ -11,7 +11,7 @@ import pytest
 from glstar.camera.exposure import Exposure, Readout
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor.sensor import Sensor
-from glstar.compare import Alignment, FlightComparison, Search
+from glstar.compare import Alignment, FlightComparison, Search, flights
 from glstar.compare.prediction import predicted_trails
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
@@ -72,6 +72,23 @@ def fitted(
     fit_mount: bool = True,
 ) -> Alignment:
     """Draw images with hidden errors and fit them with a global shutter as given."""
+    comparing = compared(folder, renderer, simulated, hidden, starts_s, readout=readout, reference=reference)
+    alignment = comparing.align(fit_time=fit_time, fit_mount=fit_mount, fit_readout=True)
+    assert alignment is not None
+    return alignment
+
+
+def compared(
+    folder: Path,
+    renderer: GLRenderer,
+    simulated: Simulator,
+    hidden: Hidden,
+    starts_s: list[float],
+    *,
+    readout: Readout = "down",
+    reference: TimeReference = TimeReference.START,
+) -> FlightComparison:
+    """Draw images with hidden errors, to be fitted with a global shutter as given."""
     rng = np.random.default_rng(7)
     C_turn = matrix_from_quaternion(quaternion_from_turn(np.deg2rad(hidden.turn_deg)))
     stars = simulated.stars
@@ -88,7 +105,7 @@ def fitted(
         cv2.imwrite(str(path), frame.pixels)
         utc_s = exposure.start_utc_s + hidden.before * exposure.span_s + hidden.clock_s
         images.append(RealImage(path, ImageTime(utc_s, "a test", EXPOSURE_S)))
-    comparing = FlightComparison(
+    return FlightComparison(
         simulated,
         renderer,
         images,
@@ -96,9 +113,28 @@ def fitted(
         reference=reference,
         search=Search(most_stars=16, time_s=0.05),
     )
-    alignment = comparing.align(fit_time=fit_time, fit_mount=fit_mount, fit_readout=True)
-    assert alignment is not None
-    return alignment
+
+
+@pytest.mark.parametrize("reference", list(TimeReference))
+def test_a_search_for_the_readout_keeps_the_middle_of_the_image_if_the_clock_is_unknown(
+    tmp_path: Path, renderer: GLRenderer, flight: Flight, monkeypatch: pytest.MonkeyPatch, reference: TimeReference
+) -> None:
+    """And the delay that it starts from is the one of the readout that was found."""
+    comparing = compared(tmp_path, renderer, simulator(flight), Hidden(), [5.0, 9.0], reference=reference)
+    middles_s = []
+
+    def likely_readout(images, simulated, *, exposure_at, **_):
+        middles_s.extend(exposure_at(0, readout_s).mid_utc_s for readout_s in (0.0, 0.03, 0.1, -0.05))
+        return np.zeros(3), 0.03
+
+    monkeypatch.setattr(flights, "likely_start", lambda *_, **__: (np.zeros(3), 0.01))
+    monkeypatch.setattr(flights, "likely_readout", likely_readout)
+    _, delay_s, _ = comparing._start([0, 1], fit_time=True, fit_readout=True)
+
+    assert middles_s == pytest.approx(middles_s[:1] * 4, rel=0, abs=1e-6)
+    assert comparing._exposure_at(0, delay_s, 0.03).mid_utc_s == pytest.approx(middles_s[0], rel=0, abs=1e-6)
+    _, delay_s, _ = comparing._start([0, 1], fit_time=False, fit_readout=True)
+    assert delay_s == 0.01
 
 
 def test_readout_clock_and_mount_are_recovered_together(tmp_path: Path, renderer: GLRenderer, flight: Flight) -> None:

@@ -200,7 +200,7 @@ def _largest_signal(
         for stars, gaussians in profiles
     ]
     searches: list[_Search] = []
-    is_even = np.zeros(points.promised_per_px2.shape[1:], np.bool_)
+    is_even: NDArray[np.bool_] = np.zeros(points.promised_per_px2.shape[1:], np.bool_)
     for middle_px, step_px, promised in zip(points.point_px, points.step_px, points.promised_per_px2, strict=True):
         # Where a trail is steady, the other lines that promise the same are as bright.
         is_same = is_even & (promised > _SAME * points.promised_per_px2[0])
