@@ -19,6 +19,7 @@ all interfaces.
 
 import re
 from dataclasses import dataclass
+from ipaddress import ip_address
 from typing import Literal, Self
 
 from glstar.errors import ConfigError
@@ -55,6 +56,14 @@ class Endpoint:
     baud: int = 0  # Its baud rate, bits/s; 0 for others
     host: str = ""  # Name or address; empty for a serial port
     port: int = 0  # UDP or TCP port; 0 for a serial port
+
+    @property
+    def is_on_this_computer(self) -> bool:
+        """Whether the other end can only be a program on this computer."""
+        try:
+            return ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
 
     @classmethod
     def parse(cls, text: str) -> Self:

@@ -24,7 +24,6 @@ GLOBAL_POSITION_SENSOR alone of the two, for the place of its arrival, if EKF2_A
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from ipaddress import ip_address
 from math import hypot, inf, isfinite, nan, pi
 from typing import Any, Literal
 
@@ -33,14 +32,12 @@ import numpy as np
 from glstar.errors import ConfigError
 from glstar.link.endpoint import Endpoint
 from glstar.link.history import SIMULATOR_MESSAGES
-from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, GPS_TYPES, RATES_HZ, MessageId, dialect
+from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, GPS_TYPES, RATES_HZ, MessageId, Packer, dialect
 from glstar.link.receiver import Receiver
 from glstar.sky.place.site import Site, north_east_of, surface_offset_km
 from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, format_utc, tai_minus_utc_s
 from glstar.telemetry.mavlink.packets import Sender
 
-# System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
-_SYSTEM, _COMPONENT = 255, 191
 _HEARTBEAT_S = 1.0
 # Interval between requests for missing messages, s; after this many rounds, the longer interval.
 _REQUEST_TIMEOUT_S = 2.0
@@ -69,19 +66,6 @@ _STREAM_OF: dict[int, int] = {
     MessageId.SYSTEM_TIME: 12,
     MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS: 12,
 }
-
-
-class Packer:
-    """Packs messages of a system and component, by default a ground station's, each with the next sequence number."""
-
-    def __init__(self, system: int = _SYSTEM, component: int = _COMPONENT) -> None:
-        self._link = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
-
-    def __call__(self, message: Any) -> bytes:
-        """Return a message as a packet."""
-        packed = bytes(message.pack(self._link))
-        self._link.seq = (self._link.seq + 1) % 256
-        return packed
 
 
 class Requests:
@@ -264,6 +248,8 @@ _GPS_OF_MAVLINK = 14
 _SENSOR_ID = 1
 # Interval between requests for it, s, and their number.
 _PARAMETER_S, _PARAMETER_TRIES = 1.0, 4
+# A refusal for the same reason as the one before is said again after this time, s.
+_AGAIN_S = 60.0
 # Standard deviation of the velocity that the autopilot estimates and is sent back, m/s.
 _SPEED_ACCURACY_M_PER_S = 3.0
 
@@ -307,7 +293,7 @@ class Injector:
         max_km: float = 200.0,
     ) -> None:
         other = endpoint.device if endpoint.kind == "serial" else endpoint.host
-        if host is None and not (endpoint.kind != "serial" and _is_loopback(endpoint.host)):
+        if host is None and not endpoint.is_on_this_computer:
             raise ConfigError(
                 f"positions would be sent over {endpoint.text}, which leaves this computer; if the vehicle there may"
                 f" follow them, say so with --inject-host {other}"
@@ -335,6 +321,8 @@ class Injector:
         self._passed_s = 0.0
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
+        # Why a fix was refused, when that was said, s, and how many were refused since.
+        self._reported: tuple[str, float, int] = ("", -inf, 0)
         # The boot in which the user was warned.
         self._warned_boot: int | None = None
         self._mavlink = dialect()
@@ -361,8 +349,7 @@ class Injector:
             why = self._refusal(fix, receiver, now_s, utc_s)
             if why is not None:
                 self.refused += 1
-                at = format_utc(fix.utc_s)[11:21] if isfinite(fix.utc_s) else fix.utc_s
-                self.messages.append(f"the position of {at} is not sent: {why}")
+                self._report(fix, why, now_s)
                 continue
             if self._first is None or self._first[0] != boot:
                 self._first = boot, clock_s
@@ -370,8 +357,20 @@ class Injector:
             self._warn(receiver, now_s)
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
             self._sent_last, self._doubted = fix, None
+            self._reported = "", -inf, self._reported[2]
         self.sent += len(packets)
         return packets
+
+    def _report(self, fix: PositionFix, why: str, now_s: float) -> None:
+        """Say that a fix is not sent; for the same reason as the one before only once a minute, with their number."""
+        reason, last_s, others = self._reported
+        if why == reason and now_s - last_s < _AGAIN_S:
+            self._reported = reason, last_s, others + 1
+            return
+        at = format_utc(fix.utc_s)[11:21] if isfinite(fix.utc_s) else fix.utc_s
+        since = f" ({others} others neither since the last line)" if others else ""
+        self.messages.append(f"the position of {at} is not sent: {why}{since}")
+        self._reported = why, now_s, 0
 
     def _questions(self, receiver: Receiver, now_s: float) -> list[bytes] | None:
         """Return what asks an autopilot for `GPS_TYPES`, if it is time.
@@ -551,11 +550,3 @@ def _degrees_e7(fix: PositionFix) -> tuple[int, int]:
 
 def _distance_km(one: PositionFix, other: PositionFix) -> float:
     return hypot(*surface_offset_km(Site(one.latitude_rad, one.longitude_rad), other.latitude_rad, other.longitude_rad))
-
-
-def _is_loopback(host: str) -> bool:
-    """Return whether a host is this computer."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

@@ -99,6 +99,23 @@ def dialect() -> Any:
     return every
 
 
+# System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
+_SYSTEM, _COMPONENT = 255, 191
+
+
+class Packer:
+    """Packs messages of a system and component, by default a ground station's, each with the next sequence number."""
+
+    def __init__(self, system: int = _SYSTEM, component: int = _COMPONENT) -> None:
+        self._link = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def __call__(self, message: Any) -> bytes:
+        """Return a message as a packet."""
+        packed = bytes(message.pack(self._link))
+        self._link.seq = (self._link.seq + 1) % 256
+        return packed
+
+
 _V1, _V2 = 0xFE, 0xFD
 _HEAD_V1, _HEAD_V2, _SUM, _SIGNATURE = 6, 10, 2, 13
 _SIGNED = 1

@@ -1,5 +1,6 @@
 """Positions that are sent to an autopilot, and where they are not."""
 
+import re
 from collections.abc import Callable
 from datetime import UTC, datetime
 from math import isnan
@@ -145,6 +146,29 @@ def test_an_autopilot_that_would_ignore_gps_input_is_asked_and_gets_none() -> No
     injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 50.0))
     assert sent(injector, 11.2, hearing(GPS1_TYPE=14)) == []
     assert "needs the velocity of GLOBAL_POSITION_INT" in injector.messages[-1]
+
+
+def test_a_standing_refusal_is_said_once_a_minute_with_its_number() -> None:
+    injector, heard = Injector(HERE, message="gps_input"), hearing(velocity_m_per_s=(1.0, 0.0), GPS1_TYPE=1)
+    sent(injector, 9.0)
+    for second in range(130):
+        injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25 + second, 50.0))
+        assert sent(injector, 10.0 + second, heard) == []
+
+    reason = "GPS1_TYPE is 1; set it to 14 (MAVLink) and restart the autopilot"
+    assert injector.refused == 130
+    assert list(injector.messages) == [
+        f"the position of 11:00:09.2 is not sent: {reason}",
+        f"the position of 11:01:09.2 is not sent: {reason} (59 others neither since the last line)",
+        f"the position of 11:02:09.2 is not sent: {reason} (59 others neither since the last line)",
+    ]
+    # Another reason is said at once, and the first one again after it.
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 100.0, 50.0))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 139.0, 50.0))
+    sent(injector, 140.0, heard)
+    assert "it is 40.0 s old" in injector.messages[-2]
+    assert injector.messages[-2].endswith(" (9 others neither since the last line)")
+    assert injector.messages[-1].endswith(f"11:02:19.0 is not sent: {reason}")
 
 
 def test_gps_input_goes_to_the_receiver_that_takes_it_beside_one_that_is_denied() -> None:
@@ -388,7 +412,9 @@ def test_positions_at_any_uptime_are_applied_at_their_instant_or_refused(message
         now_s = utc_s + delay_s - UTC_S
         send(heard, UTC_S + now_s)
         injector.add(PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s, 100.0))
-        fixes, reasons = sent(injector, now_s, heard), len(injector.messages)
+        fixes = sent(injector, now_s, heard)
+        others = re.findall(r"\((\d+) others neither", "\n".join(injector.messages))
+        reasons = len(injector.messages) + sum(map(int, others)) + injector._reported[2]
         if delay_s > 5 or (lacks_velocity and message == "gps_input"):
             assert (fixes, reasons) == ([], len(outcomes) + 1 - injector.sent)
             outcomes.append(None)

@@ -17,8 +17,7 @@ from typing import Any, NamedTuple, Self
 from glstar import __version__
 from glstar.errors import ConfigError
 from glstar.link.camera.parameters import CameraParameter, CameraParameters, Changed
-from glstar.link.outgoing import Packer
-from glstar.link.packets import Packet, dialect
+from glstar.link.packets import Packer, Packet, dialect
 from glstar.link.receiver import Receiver
 from glstar.telemetry.mavlink.packets import Sender
 
