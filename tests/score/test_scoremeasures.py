@@ -46,9 +46,21 @@ def frame_truth(number: int = 0, **changes) -> FrameTruth:
     xy = {"start": moved(-TURN * 0.2), "middle": middle, "end": moved(TURN * 0.2), "centroid": middle + 0.3}
     xy["start"][6] = np.nan
     values = {
-        "frame": number, "file": f"{number}.png", "utc_mid_s": 1e9, "camera_utc_mid_s": 1e9, "duration_s": 0.3,
-        "total_s": 0.4, "latitude_rad": 0.6, "longitude_rad": 2.4, "height_m": 100.0, "yaw_rad": 0.0,
-        "C_camera_icrs": C_ICRS, "camera": LENS, "catalogue": "", "star_id": np.arange(11, 19), "xy_px": xy,
+        "frame": number,
+        "file": f"{number}.png",
+        "utc_mid_s": 1e9,
+        "camera_utc_mid_s": 1e9,
+        "duration_s": 0.3,
+        "total_s": 0.4,
+        "latitude_rad": 0.6,
+        "longitude_rad": 2.4,
+        "height_m": 100.0,
+        "yaw_rad": 0.0,
+        "C_camera_icrs": C_ICRS,
+        "camera": LENS,
+        "catalogue": "",
+        "star_id": np.arange(11, 19),
+        "xy_px": xy,
         "is_detectable": np.array([1, 1, 1, 1, 1, 0, 1, 0], bool),
     }
     return FrameTruth(**values | changes)
@@ -56,8 +68,17 @@ def frame_truth(number: int = 0, **changes) -> FrameTruth:
 
 def answer(**changes) -> Answer:
     values = {
-        "line": 1, "frame": 0, "file": None, "solved": True, "instant": "middle", "C_camera_icrs": None,
-        "latitude_rad": None, "longitude_rad": None, "ellipse": None, "stars": None, "run_time_s": None,
+        "line": 1,
+        "frame": 0,
+        "file": None,
+        "solved": True,
+        "instant": "middle",
+        "C_camera_icrs": None,
+        "latitude_rad": None,
+        "longitude_rad": None,
+        "ellipse": None,
+        "stars": None,
+        "run_time_s": None,
     }
     return Answer(**values | changes)
 
@@ -296,8 +317,11 @@ def test_an_answer_is_right_within_all_limits(boresight_deg, roll_deg, north_deg
     xy = truth.xy_px["centroid"][:4].copy()
     xy[:wrong] = [5.0, 5.0]
     given = answer(
-        C_camera_icrs=error @ C_ICRS, latitude_rad=0.6 + np.deg2rad(north_deg), longitude_rad=2.4,
-        stars=ObservedStars(xy, np.arange(11, 15), "centroid"), ellipse=ErrorEllipse(200.0, 1.0, 0.0, 0.9),
+        C_camera_icrs=error @ C_ICRS,
+        latitude_rad=0.6 + np.deg2rad(north_deg),
+        longitude_rad=2.4,
+        stars=ObservedStars(xy, np.arange(11, 15), "centroid"),
+        ellipse=ErrorEllipse(200.0, 1.0, 0.0, 0.9),
     )
     found = score_frame(truth, given, Limits())
     assert found.outcome == (Outcome.SOLVED if is_right else Outcome.FALSE)
