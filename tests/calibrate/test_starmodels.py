@@ -6,6 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import least_squares, rosen, rosen_der
 
 from glstar.calibrate.minimise import Minimum, minimise, minimise_each
+from glstar.calibrate.photo import psf
 from glstar.calibrate.photo.psf import (
     FittedStars,
     _axis,
@@ -114,9 +115,9 @@ def test_normal_equations_are_those_of_finite_differences() -> None:
         np.testing.assert_allclose(normal[k], J.T @ J, rtol=0.01, atol=3.0)
     # A part of the problems; and of these with a fixed width all but the last parameter.
     part = model.some(np.array([1])).normal_equations(p[1:])
-    np.testing.assert_allclose(part[2], normal[1:])
+    np.testing.assert_allclose(part[2], normal[1:], rtol=1e-7)
     fixed = _Model(stamps, weights, trail, _exposure_samples(trail, 1.3), True, False).normal_equations(p)
-    np.testing.assert_allclose(fixed[2], normal[:, :4, :4])
+    np.testing.assert_allclose(fixed[2], normal[:, :4, :4], rtol=1e-7)
 
 
 @pytest.mark.parametrize("fixed", [False, True])
@@ -165,8 +166,43 @@ def test_the_model_of_the_width_found_is_used_whatever_the_start(sigma_px: float
     found = fit_stars(image, np.ones(image.shape, bool), xy + 0.3, start_sigma_px=1.1, trail_px=trail)
     np.testing.assert_allclose(found.sigma_px, sigma_px, rtol=2e-3)
     np.testing.assert_allclose(found.peak_dn, [400, 900], rtol=3e-3)
-    np.testing.assert_allclose(found.xy_px, xy, atol=1e-3)
+    np.testing.assert_allclose(found.xy_px, xy, rtol=0, atol=1e-3)
     assert len(fit_stars(image, np.ones(image.shape, bool), np.zeros((0, 2)), start_sigma_px=1.1)) == 0
+
+
+@pytest.mark.parametrize(
+    ("lengths", "half"),
+    [
+        ({}, np.ceil(4 * np.hypot(1.4, 0.3)) + 1),
+        ({"trail_px": np.array([[6.0, 8.0], [0, 1]])}, np.ceil(4 * np.hypot(1.4, 0.3) + 5) + 1),
+        ({"stamp_trail_px": np.array([[0, 1], [12.0, 0]])}, np.ceil(4 * np.hypot(1.4, 0.3) + 6) + 1),
+    ],
+)
+def test_stamps_are_as_large_as_stars_and_trails(lengths, half, monkeypatch: pytest.MonkeyPatch) -> None:
+    halves = []
+
+    def recorded(image, usable, xy, half, only):
+        halves.append(half)
+        return _stamps(image, usable, xy, half, only)
+
+    monkeypatch.setattr(psf, "_stamps", recorded)
+    xy = np.array([[30.0, 30.0], [60.0, 30.0]])
+    fit_stars(
+        draw_stars((60, 90), xy, np.full(2, 99.0), 1.4), np.ones((60, 90), bool), xy, start_sigma_px=1.4, **lengths
+    )
+    assert halves == [half]
+
+
+@pytest.mark.parametrize(("pixels", "is_enough"), [(8, False), (9, True)])
+def test_a_fit_needs_more_than_twice_as_many_pixels_as_parameters(pixels: int, is_enough: bool) -> None:
+    xy = np.array([[10.2, 9.9]])
+    image = draw_stars((20, 20), xy, np.array([500.0]), 1.3) + 7
+    usable = np.zeros((20, 20), bool)
+    usable[9:12, 9:12] = True
+    usable[9, 9] = pixels == 9
+    found = fit_stars(image, usable, xy, start_sigma_px=1.3, sigma_px=1.3)
+    assert found.converged.tolist() == [is_enough]
+    assert found.peak_dn[0] == pytest.approx(500, rel=1e-3)
 
 
 def test_stamps_hold_the_pixels_nearest_to_their_star() -> None:
@@ -194,7 +230,7 @@ def test_start_values_are_the_brightest_pixel_and_the_median() -> None:
     weights[0, 0, 0] = 0
     weights[1] = 0
     guess = _first_guess(stamps, weights, np.array([[1.0, 1.2], [0.9, 1.0]]), 2.0)
-    np.testing.assert_allclose(guess, [[43, 1, 1.2, np.log(2), 7], [1e-3, 0.9, 1, np.log(2), 0]])
+    np.testing.assert_allclose(guess, [[43, 1, 1.2, np.log(2), 7], [1e-3, 0.9, 1, np.log(2), 0]], rtol=1e-7)
 
 
 def test_steps_of_position_and_width_are_limited() -> None:
@@ -215,9 +251,9 @@ def test_the_bias_of_noise_is_subtracted_down_to_three_sigma() -> None:
         misfit_dn=n,
         converged=n > 0,
     )
-    np.testing.assert_allclose(stars.unbiased_peak_dn, [99, 20 - 100 / 30, 37.5])
+    np.testing.assert_allclose(stars.unbiased_peak_dn, [99, 20 - 100 / 30, 37.5], rtol=1e-7)
     fraction = np.array([1, 4, 1]) / (np.array([1, 4, 1]) + PIXEL_VARIANCE_PX2)
-    np.testing.assert_allclose(stars.unbiased_sigma_px, [1, 2, 1] * np.exp(fraction * [0.01, 0.04, 1 / 9]))
+    np.testing.assert_allclose(stars.unbiased_sigma_px, [1, 2, 1] * np.exp(fraction * [0.01, 0.04, 1 / 9]), rtol=1e-7)
     assert MIN_WIDENED_SIGMA_PX == 1.1
 
 
@@ -292,8 +328,16 @@ def test_a_robust_minimum_is_that_of_scipy(scale: float) -> None:
 
     loss = {"loss": "linear"} if scale == np.inf else {"loss": "soft_l1", "f_scale": scale}
     expected = least_squares(residual, [1.0, 1.0, 0.0], jac=slopes, xtol=1e-14, ftol=1e-14, gtol=1e-14, **loss)
-    found = minimise(np.array([1.0, 1.0, 0.0]), lambda v: (residual(v), slopes(v)), np.add, scale=scale)
+    evaluations = []
+
+    def measured(v: np.ndarray):
+        evaluations.append(v)
+        return residual(v), slopes(v)
+
+    found = minimise(np.array([1.0, 1.0, 0.0]), measured, np.add, scale=scale)
     np.testing.assert_allclose(found.state, expected.x, rtol=1e-4)
+    # Near the minimum the curvature of the loss makes it converge as fast as least squares.
+    assert len(evaluations) <= (10 if scale < 1 else 12)
     assert found.cost == pytest.approx(expected.cost, rel=1e-8)
 
 
@@ -305,11 +349,11 @@ def test_the_information_of_a_minimum_weighs_residuals_by_their_scale() -> None:
     )
     found = Minimum(None, residual, slopes, scale)
     root = np.array([1, 1.25, 5 / 3])
-    np.testing.assert_allclose(found.root, root)
+    np.testing.assert_allclose(found.root, root, rtol=1e-7)
     # SciPy's soft_l1: the scale squared times (root - 1).
     assert found.cost == pytest.approx((scale**2 * (root - 1)).sum())
     weight = np.diag((root + 1) / (2 * root**2))
-    np.testing.assert_allclose(found.information, slopes.T @ weight @ slopes)
+    np.testing.assert_allclose(found.information, slopes.T @ weight @ slopes, rtol=1e-7)
 
 
 def test_many_problems_are_solved_at_once_each_to_its_minimum() -> None:
@@ -330,7 +374,7 @@ def test_many_problems_are_solved_at_once_each_to_its_minimum() -> None:
     p, cost, normal, converged = minimise_each(
         starts, equations, lambda step: np.abs(step).max(axis=1) < 1e-8, bounded=lambda p: p, most_steps=100
     )
-    np.testing.assert_allclose(p, 1.0, atol=1e-6)
+    np.testing.assert_allclose(p, 1.0, rtol=0, atol=1e-6)
     assert converged.all()
     assert (cost < 1e-12).all()
     np.testing.assert_allclose(normal[0], [[401, -200], [-200, 100]], rtol=1e-5)

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2, t
 
 from glstar.camera.model import Mount
+from glstar.compare import alignment
 from glstar.compare.alignment import (
     _PRIOR,
     _added_turn,
@@ -191,11 +192,11 @@ def test_turns_of_a_mount_are_combined_and_the_readout_is_limited() -> None:
     first, second = np.array([0.1, -0.2, 0.05]), np.array([-0.02, 0.04, 0.3])
     both = _added_turn(mount, first, second)
     C = [matrix_from_quaternion(quaternion_from_turn(turn)) for turn in (first, second, both)]
-    np.testing.assert_allclose(C[2], C[1] @ C[0], atol=1e-12)
+    np.testing.assert_allclose(C[2], C[1] @ C[0], rtol=0, atol=1e-12)
 
     state = _State(first, 0.5, 0.4, np.zeros(2))
     moved = state.moved(np.array([*second, -0.2, 0.05]), np.array([1.0, 2.0]), mount)
-    np.testing.assert_allclose(moved.turn_rad, both)
+    np.testing.assert_allclose(moved.turn_rad, both, rtol=1e-7)
     assert (moved.delay_s, moved.readout_s, moved.own_s.tolist()) == (0.3, pytest.approx(0.45), [1.0, 2.0])
     limits = [state.moved(np.array([0, 0, 0, 0, step]), state.own_s, mount).readout_s for step in (0.2, -2.0)]
     assert limits == [0.5, -0.5]
@@ -310,7 +311,7 @@ def test_clock_mount_and_readout_are_fitted_together() -> None:
     assert not replace(found, readout_std_s=0.021).opens_opposite
     assert replace(found, readout_std_s=0.0199).opens_opposite
     C = matrix_from_quaternion(quaternion_from_turn(found.turn_rad)) @ images.mount.C_camera_body
-    np.testing.assert_allclose(found.mount.C_camera_body, C, atol=1e-9)
+    np.testing.assert_allclose(found.mount.C_camera_body, C, rtol=0, atol=1e-9)
     angles = [found.mount_keys[f"mount.{key}_deg"] for key in ("yaw", "pitch", "roll")]
     assert angles == pytest.approx(np.rad2deg([found.mount.yaw_rad, found.mount.pitch_rad, found.mount.roll_rad]))
     assert steps == [(k + 1, 48) for k in range(len(images.calls))]
@@ -329,6 +330,29 @@ def test_clock_mount_and_readout_are_fitted_together() -> None:
     )
     assert len(images.calls) == 6
     assert again.delay_s == pytest.approx(found.delay_s, abs=1e-4)
+
+
+def test_an_image_of_another_attitude_is_set_aside() -> None:
+    images = Images(6)
+    J, _, noise = images.seen[2]
+    images.seen[2] = J, np.array([0.02, -0.01, 0.0]), noise
+    arguments = {"fit_time": True, "fit_mount": True, "fit_readout": True, "focal_px": 900.0}
+    found = fit_alignment(images, 6, images.mount, **arguments)
+    assert (found.images, found.set_aside, found.stars) == (5, 1, 150)
+    assert np.abs(found.turn_rad - images.turn_rad).max() < 6e-4
+
+
+@pytest.mark.parametrize("grain_s", [0.0, 0.5])
+def test_a_clock_and_a_readout_are_fitted_up_to_an_error(grain_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    images, _ = equations(3, grain_s=grain_s)
+    most_s = 0.05 + 0.6 * grain_s
+    for clock_s, readout_s in ((0.99, 0.99), (0.99, 1.01), (1.01, 0.99), (1.01, 1.01)):
+        std = np.array([1.0, 1, 1, clock_s * most_s, readout_s * 0.02])
+        monkeypatch.setattr(alignment, "_estimate", lambda _images, _free, std=std: SimpleNamespace(std=std))
+        free = np.ones(5, dtype=bool)
+        notes = alignment._estimated(images, free)[1]
+        assert free.tolist() == [True, True, True, clock_s < 1, readout_s < 1]
+        assert len(notes) == (clock_s > 1) + (readout_s > 1)
 
 
 def test_given_parameters_stay_and_a_single_image_says_what_it_hides() -> None:
@@ -440,5 +464,5 @@ def test_the_best_of_many_delays_finds_most_of_the_signal() -> None:
         return None if abs(own_s) > 1.2 else SimpleNamespace(found_signal=1 - abs(own_s - 0.62))
 
     assert best_own_delay_s(find, 2.0) == pytest.approx(0.6)
-    np.testing.assert_allclose(tried, np.arange(-15, 16) / 10, atol=1e-12)
+    np.testing.assert_allclose(tried, np.arange(-15, 16) / 10, rtol=0, atol=1e-12)
     assert best_own_delay_s(lambda _: None, 2.0) is None

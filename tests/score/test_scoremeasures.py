@@ -168,17 +168,21 @@ def test_frames_are_grouped_from_each_edge_up() -> None:
 def test_settings_of_a_sweep_are_grouped_by_value_or_range() -> None:
     frames = [
         scored(
-            truth=frame_truth(settings={"a": k % 8, "b": 0.1 * k, "c": "x", "d.seed": k, **({"e": k} if k < 2 else {})})
+            truth=frame_truth(
+                settings={"a": k % 8, "f": k % 9, "b": 0.1 * k, "c": "x", "d.seed": k, **({"e": k} if k < 2 else {})}
+            )
         )
         for k in range(20)
     ]
     grouped = dict(settings_bins(frames))
-    assert list(grouped) == ["a", "b", "e"]
+    assert list(grouped) == ["a", "f", "b", "e"]
+    # Nine values are four ranges.
+    assert [label for label, _ in grouped["f"]] == ["0 to 2", "3 to 4", "5 to 6", "7 to 8"]
     assert [(label, len(inside)) for label, inside in grouped["a"]] == [(str(k), 3 if k < 4 else 2) for k in range(8)]
     assert [(label, len(inside)) for label, inside in grouped["b"]] == [
         *[("0 to 0.4", 5), ("0.5 to 0.9", 5), ("1 to 1.4", 5), ("1.5 to 1.9", 5)]
     ]
-    assert drawn_settings(frames) == {"b", "d.seed"}
+    assert drawn_settings(frames) == {"b", "d.seed", "f"}
 
 
 def orbit_frames(count: int = 48, turns: float = 2.2, *, solved=lambda _: True) -> list[FrameScore]:
@@ -261,12 +265,12 @@ def test_trails_rates_and_attitudes_are_those_of_the_turning_camera() -> None:
     axis = np.array([0.6, 0.0, 0.8])
     for instant, angle in (("start", -TURN * 0.2), ("middle", 0.0), ("end", TURN * 0.2)):
         expected = Rotation.from_rotvec(angle * axis).as_matrix() @ C_ICRS
-        np.testing.assert_allclose(truth.attitude(instant), expected, atol=1e-9)
+        np.testing.assert_allclose(truth.attitude(instant), expected, rtol=0, atol=1e-9)
     few = {name: np.where(np.arange(8)[:, np.newaxis] < 2, xy, np.nan) for name, xy in truth.xy_px.items()}
     lost = replace(truth, xy_px=few)
     assert (lost.attitude("start"), lost.rate_rad_per_s, lost.plain_fit("middle")) == (None, None, None)
     three = {name: np.where(np.arange(8)[:, np.newaxis] < 3, xy, np.nan) for name, xy in truth.xy_px.items()}
-    np.testing.assert_allclose(replace(truth, xy_px=three).attitude("end"), truth.attitude("end"), atol=1e-9)
+    np.testing.assert_allclose(replace(truth, xy_px=three).attitude("end"), truth.attitude("end"), rtol=0, atol=1e-9)
 
 
 def test_the_distance_from_a_trail_is_that_of_its_nearest_point() -> None:
