@@ -86,7 +86,7 @@ def _single(scene: Scene, direction_eq: Float) -> ExposedPaths:
         step_s, exposed_fraction = duration_s / _ROLLING_SAMPLES, exposed_s / duration_s
     else:
         step = max(1, len(scene.trails.pointing) // _MAX_SAMPLES)
-        in_camera = scene.trails.pointing[::step].to_camera(direction_eq)
+        in_camera = scene.trails.pointing[step // 2 :: step].to_camera(direction_eq)
         step_s = duration_s * step / max(len(scene.trails.pointing), 1)
         exposed_fraction = np.ones(len(direction_eq))
     since_mid = (np.arange(len(in_camera)) + 0.5) / len(in_camera) - 0.5

@@ -22,7 +22,7 @@ _MOST_TEXELS = 128
 _CLIP_SIGMA = 3.5
 _CLIPS = 4
 # Standard deviation of a Gaussian clipped at 3.5 sigma, over that of the whole Gaussian.
-_CLIPPED_STD = 0.99710
+_CLIPPED_STD = float(np.sqrt(1 - 7 * np.exp(-6.125) / np.sqrt(2 * np.pi) / (ndtr(3.5) - ndtr(-3.5))))
 _ROUNDING_DN2 = 1 / 12
 # The noise is measured at this number of levels, on blocks of this side, px.
 _LEVELS = 12
