@@ -1,15 +1,16 @@
 #!/bin/sh
-# albumentations 2.0.8 moves keypoints elsewhere than the stars under them: 1 px for distortions, 1.5 px in x and y for Resize to four times.
+# albumentations 2.0.8 moves keypoints away from their stars: 1 px upwards by distortions, 1.5 px in x and y by Resize to four times.
 #
 # Expected: a keypoint at the centre of a star stays there whatever transform turns, stretches or bends the image, as it does to
 #   0.01 px with Affine and with flips.
-# What happens: ElasticTransform, GridDistortion and OpticalDistortion draw each keypoint into a mask and take the middle of what is left:
-#   1.1 to 1.3 px off (rms), up to 2.5 px, and mostly upwards, so that it does not average out.  ElasticTransform with its defaults moves a star
-#   by 0.00 px and its keypoint by 1 px; PiecewiseAffine's are 2 px off.  Resize multiplies coordinates, where pixel centres
-#   also move by half a pixel: 0.5 px off in x and y at twice the size, 1.5 px at four times.
+# What happens: ElasticTransform, GridDistortion and OpticalDistortion draw each keypoint as a disc of 5 whole pixels, distort the
+#   disc and take its first, topmost pixel: 1.1 to 1.3 px off (rms), 2.5 px at most, and 1 px upwards in the mean, so that it does
+#   not average out.  ElasticTransform with its defaults moves a star by 0.00 px and its keypoint by 1.1 px; PiecewiseAffine's are
+#   2 px off.  Resize multiplies coordinates, where pixel centres also move: 0.5 px in x and y at twice the size, 1.5 px at four times.
 # Why it matters: a network that finds stars to a tenth of a pixel cannot be trained on such labels: it learns the shift.  Boxes
 #   and objects of 50 px hide it.  Use Affine and flips, or add (scale - 1) / 2 after Resize.
-# Source: https://albumentations.ai/docs/ (ElasticTransform: keypoint_remapping_method="mask"; Resize).
+# Source: https://albumentations.ai/docs/ (ElasticTransform: keypoint_remapping_method="mask"; Resize);
+#   remap_keypoints_via_mask in augmentations/geometric/functional.py.
 set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

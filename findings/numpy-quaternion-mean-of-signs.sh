@@ -3,8 +3,8 @@
 #
 # Expected: mean_rotor_in_chordal_metric returns, as it says, the rotor closest to all of them in the least-squares sense.  q and -q are
 #   the same rotation, so that the sign of a sample does not matter.
-# What happens: it is the plain sum, made a unit again.  Of a turn from 170 to 190 deg, written with w >= 0 as most autopilots and
-#   scipy's as_quat(canonical=True) do, one half has the other sign and cancels: the mean has a heading of -25 deg instead of 180,
+# What happens: it is the plain sum, made a unit again.  Of a turn from 170 to 190 deg, written with w >= 0 as scipy's
+#   as_quat(canonical=True) does, one half has the other sign and cancels: the mean has a heading of -25 deg instead of 180,
 #   with the right pitch and roll.  With the times as second argument it is -26 deg.  unflip_rotors() before it cures it.
 # Why it matters: such means turn a camera's attitude or its mounting relative to an IMU from many samples into one.  North and east
 #   are right, south is not; the result is a unit quaternion and nothing marks it.

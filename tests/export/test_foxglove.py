@@ -79,7 +79,9 @@ def doubles(content: bytes) -> np.ndarray:
 
 def received(port: int, sets: int) -> Iterator[tuple[str, int, bytes]]:
     """Subscribe to all topics, and yield topic, time, ns, and content of messages, for a number of images."""
-    with client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None, proxy=None) as socket:
+    with client.connect(
+        f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None, proxy=None
+    ) as socket:
         topics: dict[int, str] = {}
         while sets:
             message = socket.recv(timeout=20)
