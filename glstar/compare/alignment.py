@@ -456,8 +456,11 @@ def _grain_notes(equations: Sequence[_NormalEquations]) -> list[str]:
 def _covariance(
     equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float, true_std_rad: Float
 ) -> Float:
-    """Return the covariance of the motions, (5, 5), if `std_rad` weights the images and `true_std_rad` is true."""
-    normal, spread = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((_MOTIONS, _MOTIONS))
+    """Return the covariance of the motions, (5, 5), if `std_rad` weights the images and `true_std_rad` is true.
+
+    The prior counts as a measurement: without it, motions that the images do not determine would be exact.
+    """
+    normal = spread = np.diag(_PRIOR[_SHARED] ** -2)
     for image in equations:
         own = image.normal[np.ix_(_OWN, _OWN)] + np.diag(image.own_std(std_rad) ** -2)
         # The matrix that takes the image's right-hand side to that of the shared motions.

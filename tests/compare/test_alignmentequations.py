@@ -102,7 +102,9 @@ def test_the_covariance_is_that_of_the_linear_estimate_with_the_true_errors() ->
     images, _ = equations(3, grain_s=0.1)
     std_rad, true_std_rad = np.array([0.004, 1e-7]), np.array([0.006, 0.003])
     for free in (ALL, np.array([True, True, True, False, False])):
-        expected = np.zeros((5, 5))
+        # The prior is one more measurement of each motion that is fitted.
+        prior = _combined(images, free, std_rad)[1] / [1, 1, 1, 10, 10]
+        expected = prior @ prior.T
         for k, image in enumerate(images):
             # The estimate is linear in the right-hand side of each image.
             def response(m: int, k: int = k, free: np.ndarray = free):
@@ -114,6 +116,26 @@ def test_the_covariance_is_that_of_the_linear_estimate_with_the_true_errors() ->
             own = image.normal[:, OWN] * stds
             expected += A @ (image.normal + own @ own.T) @ A.T
         np.testing.assert_allclose(_covariance(images, free, std_rad, true_std_rad), expected, rtol=1e-5, atol=1e-14)
+
+
+@pytest.mark.parametrize("differs", [0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("seed", range(5))
+def test_motions_that_the_images_do_not_determine_are_not_fitted(seed: int, differs: float) -> None:
+    """Delay and readout turn the camera alike in each image, exactly or nearly so."""
+    images = []
+    rng = np.random.default_rng(seed)
+    for number in range(4):
+        J = rng.normal(0, 1, (40, 8)) * [900, 900, 300, 200, 100, 80, 80, 30]
+        J[:, 3] = J[:, :3] @ [0.2, 0.3, 0.1 + differs * number]
+        J[:, 4] = 0.5 * J[:, 3] + differs * number * J[:, 0]
+        values = J[:, :3] @ rng.normal(0, 0.003, 3) + rng.normal(0, 1, 40)
+        images.append(_NormalEquations(J.T @ J, J.T @ values, 40, 0.3, number=number, grain_s=0.0))
+    free = ALL.copy()
+    notes = alignment._estimated(images, free)[1]
+    assert (free.tolist(), len(notes)) == ([True, True, True, False, False], 2)
+    determined, _ = equations(4)
+    free = ALL.copy()
+    assert (alignment._estimated(determined, free)[1], free.all()) == ([], True)
 
 
 def test_the_jackknife_leaves_out_each_image_and_is_wider_for_few() -> None:
