@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.scripts import randomfaults
+from tests.scripts.linetests import LineTests, record
 from tests.scripts.mutants import ROOT, Fault, Outcome, Workers, kept_faults, report
 from tests.scripts.randomfaults import changes_of, drawn_changes, snippets
 
@@ -50,6 +50,29 @@ def test_less_than_95_percent_caught_is_a_failure(survivors: int, status: int, c
     printed = capsys.readouterr().out
     assert f"{20 - survivors} of 20 faults were caught" in printed
     assert printed.count("survived") == survivors
+
+
+@pytest.mark.slow
+def test_a_random_fault_meets_the_tests_that_run_its_line(tmp_path: Path) -> None:
+    """Also if the line runs when its module is imported, or in a child of a test."""
+    pitch, arrays, child = (
+        "tests/base/test_rotation.py::test_a_positive_pitch_raises_the_nose",
+        "tests/base/test_rotation.py::test_rotations_are_computed_for_arrays",
+        "tests/system/test_heap.py::test_all_threads_together_keep_what_one_thread_keeps",
+    )
+    assert record(tmp_path / "lines", ["-n2", pitch, arrays, child]) == 0
+    lines = LineTests(tmp_path / "lines")
+
+    def tests_at(file: str, code: str) -> list[str]:
+        text = (ROOT / file).read_text(encoding="utf-8").splitlines()
+        return sorted(lines.of(file, 1 + next(k for k, line in enumerate(text) if line.strip().startswith(code))))
+
+    assert tests_at("glstar/rotation.py", "return about_x") == [pitch, arrays]
+    assert tests_at("glstar/rotation.py", "C[..., ::4] += 1") == [arrays]
+    assert tests_at("glstar/rotation.py", "_MATRIX_OF_PRODUCTS =") == [arrays]  # of the lines that name it
+    assert tests_at("glstar/rotation.py", "xx, yy, zz =") == [pitch, arrays]  # of all lines of the module
+    assert tests_at("glstar/system/process.py", "return mallopt is not None") == [child]
+    assert lines.of("glstar/rotation.py", 1, most_s=0.0) == []
 
 
 @pytest.mark.slow
@@ -131,12 +154,3 @@ def test_a_seed_draws_the_same_changes_of_every_kind() -> None:
     assert first == again
     assert first != other
     assert {change.kind for change, _, _ in first} == {"operator", "constant", "comparison", "sign", "condition"}
-
-
-def test_the_tests_of_a_file_begin_with_those_that_import_it() -> None:
-    tests, importing = randomfaults.tests_of("glstar/score/gate.py")
-    assert tests[: len(importing)] == importing
-    assert "tests/score/test_gate.py" in importing
-    assert {"tests/score/test_score.py", "tests/score/test_runs.py"} <= {*tests} - {*importing}
-    assert "tests/score/test_gate.py" in randomfaults.tests_of("glstar/cli/images/score.py")[1]
-    assert any(test.startswith("tests/gl/") for test in randomfaults.tests_of("glstar/render/simulator.py")[0])

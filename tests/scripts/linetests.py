@@ -6,23 +6,29 @@
     python -m tests.scripts.linetests FOLDER -n 2 tests/score    # some tests, with arguments of pytest
     python -m tests.scripts.mutants --random 100 --lines FOLDER
 
-Needs the package `coverage`, which the development environment does not have.  Processes that tests start count as the
-tests; what a test kills is not seen.  The names of the tests, and how long each took, lie in FOLDER.
+Processes that a test starts count as the test, unless it kills them.  FOLDER has the lines, by test, and how long each
+test took.
 """
 
 import argparse
 import ast
+import itertools
 import json
+import math
 import os
+import re
 import subprocess
 import sys
-from functools import cached_property
+from collections import defaultdict
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 
 import pytest
+from coverage import Coverage, CoverageData
 
 ROOT = Path(__file__).resolve().parents[2]
 _FOLDER = "GLSTAR_LINETESTS"
+_PHASE = re.compile(r" \((setup|call|teardown)\)$")
 _SETTINGS = """[run]
 source = {source}
 data_file = {folder}/lines
@@ -37,41 +43,43 @@ class LineTests:
     """What a run recorded."""
 
     def __init__(self, folder: Path) -> None:
-        from coverage import CoverageData
-
         self._data = CoverageData(str(folder / "lines"))
         self._data.read()
         self._files = {_relative(file): file for file in self._data.measured_files()}
         self._seconds: dict[str, float] = json.loads((folder / "seconds.json").read_text(encoding="utf-8"))
 
-    def of(self, file: str, line: int) -> list[str]:
-        """Return the tests that run a line of a file, the quickest first.
+    def of(self, file: str, line: int, most_s: float = math.inf) -> list[str]:
+        """Return the tests that run a line of a file, those of the quickest files first, which take up to `most_s`.
 
         What runs once, when a module is imported, is seen by the tests that run any of the lines which name what it
         defines, or else any line of the module.
         """
         by_line = self._data.contexts_by_lineno(self._files[file]) if file in self._files else {}
-        begin, end, names = _statement(file, line)
+        text = (ROOT / file).read_text(encoding="utf-8")
+        begin, end, names = _statement(text, line)
         found = _named(by_line, range(begin, end + 1))
         if not found and names:
-            text = (ROOT / file).read_text(encoding="utf-8").splitlines()
-            found = _named(by_line, [k for k, one in enumerate(text, 1) if any(name in one for name in names)])
+            word = re.compile(rf"\b({'|'.join(names)})\b")
+            found = _named(by_line, [k for k, one in enumerate(text.splitlines(), 1) if word.search(one)])
         found = found or _named(by_line, by_line)
-        return sorted(found & self._seconds.keys(), key=lambda test: (self._seconds[test], test))
+        by_file: dict[str, list[tuple[float, str]]] = defaultdict(list)
+        for test in found & self._seconds.keys():
+            by_file[test.partition("::")[0]].append((self._seconds[test], test))
+        ordered = sorted(by_file.values(), key=lambda tests: (sum(seconds for seconds, _ in tests), tests))
+        tests = [test for some in ordered for test in sorted(some)]
+        passed = itertools.accumulate(seconds for seconds, _ in tests)
+        return [test for (_, test), seconds in zip(tests, passed, strict=True) if seconds <= most_s]
 
-    def seconds(self, tests: list[str]) -> float:
-        """Return how long tests took."""
-        return sum(self._seconds[test] for test in tests)
-
-    @cached_property
+    @property
     def count(self) -> int:
         """Number of tests recorded."""
         return len(self._seconds)
 
 
-def _named(by_line: dict[int, list[str]], lines) -> set[str]:  # noqa: ANN001
+def _named(by_line: dict[int, list[str]], lines: Iterable[int]) -> set[str]:
+    """Return the tests of some lines: a context is a test, or a test and its phase, or nothing."""
     contexts = {context for line in lines for context in by_line.get(line, ())}
-    return {context.rpartition(" (")[0] if context.endswith(")") else context for context in contexts} - {""}
+    return {_PHASE.sub("", context) for context in contexts} - {""}
 
 
 def _relative(file: str) -> str:
@@ -80,21 +88,17 @@ def _relative(file: str) -> str:
     return "/".join(parts[len(parts) - 1 - parts[::-1].index("glstar") :]) if "glstar" in parts else file
 
 
-def _statement(file: str, line: int) -> tuple[int, int, list[str]]:
-    """Return the first and last line of the smallest statement at a line, and the names that it assigns to."""
-    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-    around = [
-        node
-        for node in ast.walk(tree)
-        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno)
-    ]
+def _statement(text: str, line: int) -> tuple[int, int, list[str]]:
+    """Return the first and last line of what runs at a line of a module, and the names that it defines."""
+    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.stmt)]
+    around = [node for node in nodes if node.lineno <= line <= (node.end_lineno or node.lineno)]
+    if not around:
+        return line, line, []
     smallest = min(around, key=lambda node: (node.end_lineno or node.lineno) - node.lineno)
-    if isinstance(smallest, ast.FunctionDef | ast.ClassDef | ast.For | ast.While | ast.If | ast.With | ast.Try):
+    if hasattr(smallest, "body"):  # Its body has lines of its own
         return line, line, [smallest.name] if isinstance(smallest, ast.FunctionDef | ast.ClassDef) else []
-    assigned = [
-        node.id for node in ast.walk(smallest) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-    ]
-    return smallest.lineno, smallest.end_lineno or line, assigned
+    stored = [node for node in ast.walk(smallest) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+    return smallest.lineno, smallest.end_lineno or line, [node.id for node in stored]
 
 
 # As a plugin of pytest, in each of its processes.
@@ -106,9 +110,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item):  # noqa: ANN201
-    from coverage import Coverage
-
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     coverage = Coverage.current()
     if coverage is not None:
         coverage.switch_context(item.nodeid)
@@ -120,8 +122,6 @@ def pytest_runtest_protocol(item: pytest.Item):  # noqa: ANN201
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    from coverage import Coverage
-
     coverage = Coverage.current()
     if coverage is not None:
         coverage.save()
@@ -129,23 +129,29 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         Path(os.environ[_FOLDER], "seconds.json").write_text(json.dumps(_seconds), encoding="utf-8")
 
 
-def main() -> int:
-    """Read the command line, run the tests and combine what their processes recorded."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="a new folder for the result")
-    wanted, more = parser.parse_known_args()
-    folder = wanted.folder.resolve()
+def record(folder: Path, options: Sequence[str]) -> int:
+    """Run tests, with arguments of pytest, and record them in a new folder; return pytest's status."""
+    folder = folder.resolve()
     folder.mkdir(parents=True)
     settings = folder / "settings.ini"
     settings.write_text(_SETTINGS.format(source=ROOT / "glstar", folder=folder), encoding="utf-8")
     environment = os.environ | {"COVERAGE_PROCESS_START": str(settings), _FOLDER: str(folder)}
-    options = more or ["-n", "auto", "--dist", "worksteal"]
+    environment.pop("PYTEST_CURRENT_TEST", None)  # of a test that records others
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "tests.scripts.linetests"]
-    failed = subprocess.run([*command, *options], cwd=ROOT, env=environment, check=False).returncode
+    status = subprocess.run([*command, *options], cwd=ROOT, env=environment, check=False).returncode
     combine = [sys.executable, "-m", "coverage", "combine", f"--rcfile={settings}", "-q"]
     subprocess.run(combine, cwd=folder, check=True)
-    print(f"{LineTests(folder).count} tests recorded in {folder}")
-    return failed
+    return status
+
+
+def main() -> int:
+    """Read the command line, run the tests and record them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="a new folder for the result")
+    wanted, options = parser.parse_known_args()
+    status = record(wanted.folder, options or ["-n", "auto", "--dist", "worksteal"])
+    print(f"{LineTests(wanted.folder).count} tests recorded in {wanted.folder}")
+    return status
 
 
 if __name__ == "__main__":

@@ -5,15 +5,15 @@
     python -m tests.scripts.mutants                          # every fault of tests/faults: minutes
     python -m tests.scripts.mutants --only leap zenith       # those whose names contain one of these words
     python -m tests.scripts.mutants --list                   # a list of all faults
-    python -m tests.scripts.mutants --random 100 --seed 7    # drawn at random from the sources, by `randomfaults`
+    python -m tests.scripts.mutants --random 100 --lines DIR # drawn at random from the sources, by `randomfaults`
 
 Works on copies of the checkout, one per worker, in a temporary directory.  First the tests run without any fault: they
 must pass.  A fault is caught if one of its tests fails.  The exit status is 1 if fewer than 95 % are caught, 2 if tests
 fail without a fault or a snippet does not occur exactly once.
 
-The tests of a random fault are those of the folder that mirrors its package; the quick ones of the files that import it
-run first.  The first that fails runs again without the fault: if it fails there too, or the tests take longer than
---slowest-s, the fault is not judged.  With --importing the folder is left out where tests import the file.
+The tests of a random fault are those that run its line, as `linetests` recorded it in DIR: the quickest files first, up
+to --most-s in all, so the result is a lower bound of what the suite catches.  A test that fails without the fault, too,
+is left out.
 """
 
 import argparse
@@ -32,7 +32,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.scripts.randomfaults import drawn_changes, tests_of
+from tests.scripts.linetests import LineTests
+from tests.scripts.randomfaults import drawn_changes
 
 ROOT = Path(__file__).resolve().parents[2]
 FAULTS = ROOT / "tests" / "faults"
@@ -41,8 +42,12 @@ LEAST_CAUGHT = 0.95
 # Timeout, s: a fault with which a test does not end is caught.
 SLOWEST_S = 300
 NOT_COPIED = (".git", "__pycache__", "*.egg-info", ".*_cache", ".venv*", "build", "dist", "*.pyc")
-# pytest's exit status: a test failed; no test was selected.
-FAILED, NOTHING = 1, 5
+# pytest's exit status: a test failed.
+FAILED = 1
+# Timeout of one test with a random fault, s; the tests that may fail without it before it is given up.
+SLOWEST_TEST_S, MOST_BROKEN = 60, 5
+# Tests named for each survivor.
+MOST_NAMED = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +65,6 @@ class Fault:
         The consequence for the user.
     tests : tuple of str
         Arguments of pytest.
-    likely : tuple of str
-        Those of a random fault that run first, without slow ones: of the files that import its module.
     """
 
     name: str
@@ -70,7 +73,6 @@ class Fault:
     new: str
     means: str
     tests: tuple[str, ...]
-    likely: tuple[str, ...] = ()
 
     @property
     def occurrences(self) -> int:
@@ -86,7 +88,6 @@ class Outcome:
     fault: Fault
     caught_by: str | None
     seconds: float
-    unjudged: str = ""  # Why the tests say nothing about a random fault
 
 
 def kept_faults(folder: Path = FAULTS) -> list[Fault]:
@@ -130,7 +131,9 @@ class Checkout:
 
     def failures(self, tests: Sequence[str], *options: str, slowest_s: float | None = None) -> list[str]:
         """Run tests and return those that fail."""
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, *tests]
+        named = self.root / "tests-of-this-run.txt"
+        named.write_text("\n".join(tests), encoding="utf-8")
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, f"@{named}"]
         environment = os.environ | {"PYTHONPATH": str(self.root)}
         try:
             done = subprocess.run(
@@ -141,8 +144,6 @@ class Checkout:
         if done.returncode == 0:
             return []
         failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        if done.returncode == NOTHING and "-m" in options:
-            return []
         if done.returncode != FAILED and not failed:
             raise RuntimeError(f"pytest cannot run {' '.join(tests)}:\n{done.stdout}{done.stderr}")
         return failed or done.stdout.splitlines()[-1:]
@@ -171,22 +172,19 @@ class Workers:
         with self.one() as checkout:
             return checkout.failures(tests) if tests else []
 
-    def judged(self, fault: Fault, slowest_s: float, *, importing: bool = False) -> Outcome:
-        """Return the result for a fault whose tests have not run without it; `importing`: of tests that import it."""
+    def judged(self, fault: Fault) -> Outcome:
+        """Return the result for a fault whose tests have not run without it."""
         began_s = time.monotonic()
-        tests = fault.likely if importing and fault.likely else fault.tests
+        tests = list(fault.tests)
         with self.one() as checkout:
-            with checkout.broken_by(fault):
-                failed = (
-                    checkout.failures(fault.likely, "-x", "-m", "not slow", slowest_s=slowest_s) if fault.likely else []
-                )
-                failed = failed or checkout.failures(tests, "-x", slowest_s=slowest_s)
-            unjudged = ""
-            if failed and failed[0].startswith("no end"):
-                unjudged = failed[0]
-            elif failed and (named := failed[0].partition(" ")[2].partition(" - ")[0]).startswith("tests/"):
-                unjudged = f"{named} fails without a fault too" if checkout.failures([named]) else ""
-        return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s, unjudged)
+            for _ in range(MOST_BROKEN if tests else 0):
+                with checkout.broken_by(fault):
+                    failed = checkout.failures(tests, "-x", f"--timeout={SLOWEST_TEST_S}", slowest_s=10 * SLOWEST_S)
+                named = failed[0].partition(" ")[2].partition(" - ")[0] if failed else ""
+                if named not in tests or not checkout.failures([named]):
+                    return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s)
+                tests.remove(named)
+        return Outcome(fault, None, time.monotonic() - began_s)
 
     def outcome(self, fault: Fault) -> Outcome:
         began_s = time.monotonic()
@@ -219,29 +217,29 @@ def run(faults: Sequence[Fault], workers: int) -> int:
     return report(outcomes)
 
 
-def random_faults(count: int, seed: int, only: Sequence[str]) -> list[Fault]:
+def random_faults(count: int, seed: int, only: Sequence[str], lines: LineTests, most_s: float) -> list[Fault]:
     """Return faults drawn at random from the sources, or from the files whose path contains one of some words."""
     faults = []
     for change, old, new in drawn_changes(count, seed, only):
         pairs = zip(old.splitlines(), new.splitlines(), strict=True)
         means = "; ".join(f"{before.strip()}  ->  {after.strip()}" for before, after in pairs if before != after)
         name = f"{change.kind} {change.file}:{change.line}"
-        faults.append(Fault(name, change.file, old, new, means, *tests_of(change.file)))
+        faults.append(Fault(name, change.file, old, new, means, tuple(lines.of(change.file, change.line, most_s))))
     return faults
 
 
-def run_random(faults: Sequence[Fault], workers: int, slowest_s: float, *, importing: bool) -> int:
+def run_random(faults: Sequence[Fault], workers: int) -> int:
     """Inject random faults and print the result of each; return the exit status."""
     with tempfile.TemporaryDirectory(prefix="glstar-mutants-") as folder, ThreadPoolExecutor(workers) as pool:
         checkouts = Workers(Path(folder), workers)
         outcomes = []
-        for outcome in pool.map(lambda fault: checkouts.judged(fault, slowest_s, importing=importing), faults):
-            word = outcome.unjudged or ("survived" if outcome.caught_by is None else "caught")
-            print(f"{word:8}  {outcome.seconds:5.1f} s  {outcome.fault.name}  {outcome.fault.means}", flush=True)
-            if not outcome.unjudged:
-                outcomes.append(outcome)
-    print(f"{len(faults) - len(outcomes)} faults were not judged")
-    return report(outcomes) if outcomes else 2
+        for outcome in pool.map(checkouts.judged, faults):
+            word = "survived" if outcome.caught_by is None else "caught"
+            count = len(outcome.fault.tests)
+            name, means = outcome.fault.name, outcome.fault.means
+            print(f"{word:8}  {outcome.seconds:5.1f} s  {count:4} tests  {name}  {means}", flush=True)
+            outcomes.append(outcome)
+    return report(outcomes)
 
 
 def report(outcomes: Sequence[Outcome]) -> int:
@@ -250,7 +248,7 @@ def report(outcomes: Sequence[Outcome]) -> int:
     caught = len(outcomes) - len(survivors)
     print(f"\n{caught} of {len(outcomes)} faults were caught: {100 * caught / len(outcomes):.1f} %")
     for fault in survivors:
-        print(f"\n{fault.name} ({fault.file}) survived {' '.join(fault.tests)}\n  {fault.means}")
+        print(f"\n{fault.name} ({fault.file}) survived {' '.join(fault.tests[:MOST_NAMED])}\n  {fault.means}")
     return int(caught < LEAST_CAUGHT * len(outcomes))
 
 
@@ -264,17 +262,17 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="number of faults tested at a time")
     parser.add_argument("--random", type=int, metavar="N", help="draw N faults at random from the sources")
     parser.add_argument("--seed", type=int, default=0, help="seed of --random")
-    parser.add_argument("--slowest-s", type=float, default=3 * SLOWEST_S, help="longest run for a random fault, s")
-    parser.add_argument(
-        "--importing", action="store_true", help="run only the tests that import the file: minutes, fewer are caught"
-    )
+    parser.add_argument("--lines", type=Path, metavar="DIR", help="what linetests recorded, for --random")
+    parser.add_argument("--most-s", type=float, default=SLOWEST_S, help="tests of a random fault take up to this, s")
     wanted = parser.parse_args()
     if wanted.random is not None:
-        drawn = random_faults(wanted.random, wanted.seed, wanted.only or ())
+        if wanted.lines is None:
+            parser.error("--random needs --lines DIR; python -m tests.scripts.linetests DIR records it in half an hour")
+        drawn = random_faults(wanted.random, wanted.seed, wanted.only or (), LineTests(wanted.lines), wanted.most_s)
         if wanted.list:
             print(*(f"{fault.name}: {fault.means}" for fault in drawn), sep="\n")
             return 0
-        return run_random(drawn, max(1, wanted.workers), wanted.slowest_s, importing=wanted.importing)
+        return run_random(drawn, max(1, wanted.workers))
     faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
     if not faults:
         parser.error(f"no fault is called {' or '.join(wanted.only)}; --list names them")

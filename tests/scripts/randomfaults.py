@@ -11,7 +11,6 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,10 +50,6 @@ _APPEARANCE = (
 # Keywords and constants that change speed or checks alone, and the last axis by another name.
 _NO_EFFECT = frozenset({"strict", "axis", "optimize", "assume_unique", "daemon", "exist_ok", "ensure_ascii"})
 _SPEED = re.compile(r"CACHE|_BYTES|BLOCK|CHUNK|TIMEOUT|_COLOU?RS?$")
-# Folders of tests beside the one that mirrors a package.
-_ALSO = {"render": ("gl", "golden"), "arrays": ("base",), "errors": ("base",), "rotation": ("base",)}
-# If more files of other folders import a file, theirs are left out: a run would take as long as the whole suite.
-_MANY_IMPORTING = 12
 # Most lines that a snippet is extended by until it occurs once.
 _MOST_CONTEXT = 12
 
@@ -225,53 +220,6 @@ def snippets(text: str, change: Change) -> tuple[str, str] | None:
     return None
 
 
-@cache
-def _tests() -> dict[str, str]:
-    """Return the text of every test file that a run of a few minutes can hold, by its path."""
-    slow = {"bench", "scripts", "project", "faults", "support"}
-    files = sorted(path for path in (ROOT / "tests").rglob("test_*.py") if path.parent.name not in slow)
-    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in files}
-
-
-@cache
-def _imports() -> dict[str, frozenset[str]]:
-    """Return what every test file imports, as dotted names, by its path."""
-    imported = {}
-    for test, text in _tests().items():
-        nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
-        imported[test] = frozenset(f"{node.module}.{name.name}" for node in nodes for name in node.names)
-    return imported
-
-
-@cache
-def tests_of(file: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the tests that belong to a file: those that import it, and all of the folders that mirror its package.
-
-    The second result has those that import the file, or what it defines from a package above it.  Tests of other
-    folders count unless many import the file.  The commands have no folder: theirs are the tests that import the file
-    or name the command.
-    """
-    parts = Path(file).with_suffix("").parts
-    parts = parts[:-1] if parts[-1] == "__init__" else parts
-    module = re.compile(rf"\b{re.escape('.'.join(parts))}\b(?!\.[a-z])")
-    body = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
-    defined = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
-    names = {".".join((*parts[:k], name)) for k in range(1, len(parts) + 1) for name in defined}
-    names.add(".".join(parts))
-    importing = [test for test, text in _tests().items() if names & _imports()[test] or module.search(text)]
-    if parts[1:2] == ("cli",):
-        command = re.compile(rf"[\"']{re.escape(parts[-1])}[\"']")
-        named = tuple(test for test, text in _tests().items() if test in importing or command.search(text))
-        return named, named
-    package = parts[1] if len(parts) > 1 else ""
-    folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())) if folder)
-    importing.sort(key=lambda test: not test.startswith(folders))
-    mirrored = [test for test in _tests() if test.startswith(folders)]
-    if len(set(importing) - set(mirrored)) > _MANY_IMPORTING:
-        importing = [test for test in importing if test in mirrored]
-    return tuple(dict.fromkeys([*importing, *mirrored])), tuple(importing)
-
-
 def drawn_changes(count: int, seed: int, only: Sequence[str] = ()) -> Iterator[tuple[Change, str, str]]:
     """Yield changes drawn at random, each with the snippet that it changes and its replacement.
 
@@ -288,6 +236,6 @@ def drawn_changes(count: int, seed: int, only: Sequence[str] = ()) -> Iterator[t
     while len(drawn) < count:
         change, text = rng.choice(by_kind[rng.choice(sorted(by_kind))])
         pair = snippets(text, change)
-        if change not in drawn and pair is not None and tests_of(change.file)[0]:
+        if change not in drawn and pair is not None:
             drawn.add(change)
             yield change, *pair
