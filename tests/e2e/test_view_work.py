@@ -247,6 +247,7 @@ def answer_questions(work: Work, number: str, log: Path) -> None:
         window.press("Tab" if answer != "48" else "Return")
         window.still()
     window.until(lambda screen: changed(screen[TIMES], before[TIMES]) > 100, "the timeline of the other flight")
+    window.still()
     assert parse_utc(work.truth()["utc_start"]) == pytest.approx(parse_utc("2024-03-10T11:00:07.5Z"), abs=2e-6)
 
 
