@@ -20,6 +20,8 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.export.convert.labels import yolo_folders
 from glstar.export.truth.lines import read_truth
+from glstar.system.resources import asset
+from tests.support.manualblocks import blocks
 
 # pycocotools calls NumPy in an old manner.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -331,3 +333,22 @@ def test_exposures_that_follow_each_other_share_the_ends_of_their_trails(tmp_pat
             np.testing.assert_allclose(here[2, :2], later[0, :2], rtol=0, atol=1e-3)
             shared += 1
     assert shared > 20
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(("kind", "dtype"), [("png", np.uint8), ("png16", np.uint16)])
+def test_the_manuals_decoder_keeps_the_numbers_of_images(kind: str, dtype: type, tmp_path: Path, monkeypatch) -> None:
+    """The decoders of webdataset make all of a 16-bit sky white."""
+    monkeypatch.chdir(tmp_path)
+    made = RUNNER.invoke(app, ["export", str(asset("adelaide.BIN")), "--frames", "2", "--format", kind, "-o", "night"])
+    assert made.exit_code == 0, made.output
+    convert(Path("night"), Path("shards"), "--to", "webdataset")
+    names: dict[str, Any] = {}
+    exec(next(block.code for block in blocks(asset("manual") / "export.md") if "import webdataset" in block.code), names)
+
+    found = list(names["frames"])
+
+    assert [truth["file"] for _, truth in found] == ["frame_000000.png", "frame_000001.png"]
+    for pixels, truth in found:
+        np.testing.assert_array_equal(pixels, cv2.imread(f"night/{truth['file']}", cv2.IMREAD_UNCHANGED), strict=True)
+        assert pixels.dtype == dtype
