@@ -62,7 +62,7 @@ def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():
 
 def test_a_spline_is_divided_at_its_samples_and_in_the_middle_between_them():
     table = MotionTable.of(rough(100.0, "spline").motion, replace(EXPOSURE, duration_s=0.1, readout_s=0.0))
-    # Samples are 10 ms apart, the first 7 ms after the start; a part of a spline takes 5 ms at most.
+    # A sample every 10 ms, the first 7 ms after the start; a part of a spline takes 5 ms at most.
     inside_s = [k * 0.01 - 0.003 for k in range(1, 11)]
     steps_s = [k * 0.005 for k in range(21)]
     ends_s = np.unique(np.round([*inside_s, *steps_s], 6))
