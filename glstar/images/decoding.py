@@ -18,7 +18,7 @@ Grey = NDArray[np.unsignedinteger[Any]]
 
 _SIGNATURE_BYTES = 16
 # Largest side of an image that OpenCV's remap accepts, px.
-_MOST_PX = 32767
+_MOST_PX = 32766
 # Types that it interpolates.
 _REMAPPED = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 # Rows whose positions are computed together; limits memory.

@@ -1,6 +1,7 @@
 """The time of a real image, from its name, EXIF, a table or the truth of an export."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from glstar.images.times import (
     ImageTime,
     TimeReference,
     exposure_of,
+    local_zone_s,
     read_exif,
     read_table,
     read_truth,
+    time_notes,
     time_of,
     utc_from_name,
     with_common_grains,
@@ -321,3 +324,25 @@ def test_the_frames_of_an_export_are_named_by_the_camera_s_clock(tmp_path: Path)
     (time,) = read_truth(tmp_path / "truth.jsonl").values()
 
     assert time.utc_s == pytest.approx(ESA_UTC_S - 3600.5, rel=0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("grain_s", "is_coarse"), [(0.02, True), (0.0199, False), (1.0, True)])
+def test_times_in_steps_of_frames_are_named_with_the_largest_step(grain_s: float, is_coarse: bool) -> None:
+    times = [ImageTime(ESA_UTC_S, "name", grain_s=grain_s), ImageTime(ESA_UTC_S, "name", grain_s=0.001)]
+    expected = f"the times of 1 of 2 images are in steps of {grain_s:g} s" if is_coarse else ""
+    assert "; ".join(time_notes(times, 0.0)).startswith(expected)
+    assert bool(time_notes(times, 0.0)) == is_coarse
+    local = [replace(one, is_zoneless=True) for one in times]
+    assert time_notes(local, -34200.0)[-1] == (
+        "the times of 2 of 2 images have no zone and were taken as UTC; if the camera shows local time, such as that "
+        "of -09:30, add --time-offset -34200"
+    )
+
+
+@pytest.mark.parametrize(
+    ("longitude_deg", "hours"),
+    [(0.0, 0), (7.4, 0), (7.6, 1), (138.6, 9), (-7.6, -1), (-172.4, -11), (187.6, -11), (352.4, -1), (352.6, 0)],
+)
+def test_the_zone_of_a_longitude_has_whole_hours(longitude_deg: float, hours: int) -> None:
+    assert local_zone_s(np.deg2rad(longitude_deg)) == 3600.0 * hours
+    assert local_zone_s(np.deg2rad(longitude_deg + 360.0)) == 3600.0 * hours

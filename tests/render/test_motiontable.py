@@ -58,3 +58,13 @@ def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():
         time = begin[star] + (end[star] - begin[star]) * steps
         expected_px = scene.positions(directions_eq[star : star + 1], time)[:, 0].mean(axis=0)
         np.testing.assert_allclose(integral_px / (end[star] - begin[star]), expected_px, rtol=0, atol=1e-3)
+
+
+def test_a_spline_is_divided_at_its_samples_and_in_the_middle_between_them():
+    table = MotionTable.of(rough(100.0, "spline").motion, replace(EXPOSURE, duration_s=0.1, readout_s=0.0))
+    # A sample every 10 ms, the first 7 ms after the start; a part of a spline takes 5 ms at most.
+    inside_s = [k * 0.01 - 0.003 for k in range(1, 11)]
+    steps_s = [k * 0.005 for k in range(21)]
+    ends_s = np.unique(np.round([*inside_s, *steps_s], 6))
+    np.testing.assert_allclose(table.ends_s[::2], ends_s, rtol=0, atol=5e-7)
+    np.testing.assert_allclose(table.ends_s[1::2], (ends_s[1:] + ends_s[:-1]) / 2, rtol=0, atol=5e-7)

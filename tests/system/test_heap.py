@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from glstar.system import process
+
 NAMES = ("MALLOC_ARENA_MAX", "MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 # Frees blocks of 64 KB that together are 30 MB, and prints what the process still holds of them, bytes.
 PROGRAM = """
@@ -100,3 +102,47 @@ def test_freed_memory_is_returned_from_below_what_is_in_use(monkeypatch):
     answer = subprocess.run([sys.executable, "-c", BELOW], capture_output=True, text=True, check=True).stdout.split()
     assert int(answer[0]) > 150_000_000
     assert int(answer[1]) < 80_000_000
+
+
+def test_the_parameters_are_those_of_glibcs_malloc_h(monkeypatch):
+    """M_TRIM_THRESHOLD -1, M_MMAP_THRESHOLD -3 and M_ARENA_MAX -8; 32 MiB is DEFAULT_MMAP_THRESHOLD_MAX."""
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+    called, accepted = [], [1, 1]
+    monkeypatch.setattr(
+        process, "_of_c_library", lambda name, *_: lambda *args: called.append((name, *args)) or accepted[-1]
+    )
+    keep, share = process.keep_freed_memory.__wrapped__, process.share_one_heap.__wrapped__
+    assert (keep(), share()) == (True, True)
+    process.return_freed_memory()
+    mib = 1024 * 1024
+    assert called == [
+        ("mallopt", -3, 32 * mib),
+        ("mallopt", -1, 64 * mib),
+        ("mallopt", -8, 1),
+        ("malloc_trim", 64 * mib),
+    ]
+    accepted.append(0)
+    assert (keep(), share()) == (False, False)
+    monkeypatch.setattr(process, "_of_c_library", lambda *_: None)
+    assert (keep(), share()) == (False, False)
+    process.return_freed_memory()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_environment_chooses_stays(monkeypatch, name):
+    for other in NAMES:
+        monkeypatch.delenv(other, raising=False)
+    monkeypatch.setenv(name, "1")
+    monkeypatch.setattr(process, "_of_c_library", lambda *_: lambda *_: 1)
+    assert process.keep_freed_memory.__wrapped__() == (name == "MALLOC_ARENA_MAX")
+    assert process.share_one_heap.__wrapped__() == (name in {"MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"})
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has the functions")
+def test_functions_of_the_c_library_are_found_on_linux_only(monkeypatch):
+    found = process._of_c_library("malloc_trim", "c_size_t")
+    assert [kind.__name__ for kind in found.argtypes] == ["c_ulong"]
+    assert process._of_c_library("no_such_function_of_glstar") is None
+    monkeypatch.setattr(process.sys, "platform", "darwin")
+    assert process._of_c_library("malloc_trim", "c_size_t") is None

@@ -159,7 +159,7 @@ def fitted_segments(
         strictness = samples.strictness(readout_s, at_ends)
         deviation, drawing = fit.excess(camera, sigma_px, tolerance_px, position_px, strictness)
         if ((deviation <= 1.0) & (drawing <= 1.0)).all():
-            return AnalyticSegments(fit.nodes, np.diff(knots_s) / (knots_s[-1] - knots_s[0]))
+            return AnalyticSegments(fit.nodes, fit.time_fraction)
         knots_s = _divided(knots_s, nodes_s, deviation, drawing)
         if np.diff(knots_s).min() < LIMITS.shortest_s:
             return None
