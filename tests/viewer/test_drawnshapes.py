@@ -144,8 +144,10 @@ def test_labels_keep_clear_of_their_positions_and_out_of_view_are_left_out(drawn
 
 @pytest.mark.parametrize(
     ("xy", "is_drawn"),
-    [((-62, 20), False), ((-58, 20), True), ((148, 20), False), ((146, 20), True)]
-    + [((20, -28), False), ((20, -27), True), ((20, 128), False), ((20, 126), True)],
+    [
+        *[((-62, 20), False), ((-58, 20), True), ((148, 20), False), ((146, 20), True)],
+        *[((20, -28), False), ((20, -27), True), ((20, 128), False), ((20, 126), True)],
+    ],
 )
 def test_a_label_is_drawn_if_a_part_of_it_is_in_the_panel(drawn, xy, is_drawn):
     """Of 16 x 10 px, 6 px to the right of its position in the panel of 400 x 300, centred upon its height."""

@@ -92,7 +92,7 @@ def test_the_ground_track_crosses_the_date_line(tmp_path):
 
 
 def test_a_speed_is_the_mean_of_a_second(tmp_path):
-    """A climb of t^3 m around t = 0 rises by 2 h^3 within h of it: 0.25 m/s on average over half a second before and after."""
+    """Of t^3 m it rises by 2 h^3 within h of t = 0: by 0.25 m/s on average over half a second before and after."""
     t = np.arange(-5.0, 5.001, 0.05)
     rows = [f"{START_S + 5 + s:.2f},0,0,0,-34.93,138.6,{300 + s**3:.6f}" for s in t]
     (tmp_path / "cubic.csv").write_text("\n".join([HEAD, *rows]) + "\n", encoding="utf-8")
