@@ -204,7 +204,7 @@ def test_grids_and_horizon_are_where_their_labels_say() -> None:
     np.testing.assert_allclose(np.rad2deg(np.arctan2(hour[:, 1], hour[:, 0])), 30, rtol=0, atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(np.arcsin(hour[[0, -1], 2])), [-80, 80], rtol=1e-7)
     assert len(Grids(camera(320, 240, 3000.0)).altaz_labels) == 44 + 180  # every 2 deg in a half diagonal of 3.8
-    # Lines 1 deg and 5 minutes apart in a narrower field, also if it is smaller than that.
+    # Lines 1 deg and 5 minutes between neighbours in a narrower field, also if it is smaller than that.
     for focal_px in (10_000.0, 60_000.0):
         narrow = Grids(camera(320, 240, focal_px))
         assert (len(narrow.altaz_labels), len(narrow.equatorial_labels)) == (89 + 360, 179 + 288)
