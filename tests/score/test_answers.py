@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.errors import AnswersError
-from glstar.score.answers import MOST_CHARACTERS, read_answers
+from glstar.score.answers import MOST_CHARACTERS, ErrorEllipse, read_answers
 from glstar.score.frames import Outcome
 from glstar.score.scoring import Score, score
 from tests.score.test_runs import line
@@ -208,3 +208,78 @@ def test_odd_tables_give_one_line(content: str, frames: Path, tmp_path: Path) ->
     with pytest.raises(AnswersError) as caught:
         score(frames, tmp_path / "answers.csv")
     assert "\n" not in str(caught.value)
+
+
+ELLIPSE = {
+    "latitude_deg": 3,
+    "longitude_deg": 2,
+    "ellipse_major_km": 3,
+    "ellipse_minor_km": 2,
+    "ellipse_azimuth_deg": 5,
+}
+UNIT = {"qx": 0.0, "qy": 0.0, "qz": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("row", "is_valid"),
+    [
+        ({"latitude_deg": 90, "longitude_deg": -720}, True),
+        ({"latitude_deg": -90.001, "longitude_deg": 0}, False),
+        ({"latitude_deg": 0, "longitude_deg": 720.001}, False),
+        ({"ra_deg": 10, "dec_deg": -90, "roll_deg": 0}, True),
+        ({"ra_deg": 10, "dec_deg": 90.001, "roll_deg": 0}, False),
+        ({"latitude_deg": 3, "longitude_deg": 2, "time_ms": 0}, True),
+        ({"latitude_deg": 3, "longitude_deg": 2, "time_ms": 1e12}, True),
+        ({"latitude_deg": 3, "longitude_deg": 2, "time_ms": 1.0001e12}, False),
+        ({"qw": 1.0009, **UNIT}, True),
+        ({"qw": 1.0011, **UNIT}, False),
+        ({"qw": 0.9989, **UNIT}, False),
+        (ELLIPSE | {"ellipse_major_km": 40000}, True),
+        (ELLIPSE | {"ellipse_major_km": 40001}, False),
+        (ELLIPSE | {"ellipse_minor_km": 0}, False),
+        (ELLIPSE | {"ellipse_minor_km": 1e-9}, True),
+        (ELLIPSE | {"ellipse_confidence": 1e-4}, True),
+        (ELLIPSE | {"ellipse_confidence": 0.99e-4}, False),
+        (ELLIPSE | {"ellipse_confidence": 0.999999}, True),
+        (ELLIPSE | {"ellipse_confidence": 1}, False),
+        ({"stars": [[1e12, 5, -1], [1, 2, 0]]}, True),
+        ({"stars": [[1.0001e12, 5, 7]]}, False),
+        ({"stars": [[1, 5, True]]}, False),
+        ({"stars": [[True, 5, 1]]}, False),
+        ({"stars": [[1, 5, 2**63 - 1]]}, True),
+        ({"stars": []}, True),
+    ],
+)
+def test_numbers_are_valid_up_to_their_limits(row: Row, is_valid: bool, tmp_path: Path) -> None:
+    path = tmp_path / "answers.jsonl"
+    path.write_text(json.dumps({"frame": 0} | row) + "\n" + json.dumps({"frame": 2} | ELLIPSE) + "\n", encoding="utf-8")
+
+    found = read_answers(path)
+
+    assert [one.frame for one in found.answers] == ([0, 2] if is_valid else [2]), found.faults
+    assert len(found.faults) == (not is_valid)
+    # The confidence is 95 % unless an ellipse states another.
+    assert found.answers[-1].ellipse == ErrorEllipse(3.0, 2.0, pytest.approx(np.deg2rad(5)), 0.95)
+
+
+@pytest.mark.parametrize("late_s", [1.24, 1.26, -1.24, -1.26])
+def test_the_utc_of_an_answer_may_be_a_second_beyond_its_exposure(late_s: float, frames: Path, tmp_path: Path) -> None:
+    """The frames last 0.5 s around whole seconds."""
+    utc = f"2024-03-10T11:00:{1 + late_s:06.3f}Z" if late_s > -1 else f"2024-03-10T10:59:{61 + late_s:06.3f}Z"
+    found = scored(frames, tmp_path, {"frame": 1, "utc": utc, "latitude_deg": 0.0, "longitude_deg": 20.0}, RIGHT)
+
+    assert len(found.faults) == (abs(late_s) > 1.25)
+
+
+def test_stars_without_a_number_are_all_kept_and_identify_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "answers.jsonl"
+    rows = [[1, 2, None], [3, 4, None], [5, 6, 0], [7, 8, 0], [9, 10, -1]]
+    path.write_text(
+        json.dumps({"frame": 0, "stars": rows}) + "\n" + json.dumps({"frame": 1, "stars": [[1, 2, None]]}) + "\n"
+    )
+
+    known, unknown = (one.stars for one in read_answers(path).answers)
+
+    assert known.star_id.tolist() == [-1, -1, 0, -1]
+    assert known.xy_px.tolist() == [[1, 2], [3, 4], [5, 6], [9, 10]]
+    assert (known.identifies, unknown.identifies) == (True, False)

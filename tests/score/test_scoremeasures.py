@@ -348,3 +348,31 @@ def test_the_clock_of_a_navigator_is_off_by_the_offset_of_the_export(tmp_path) -
     assert camera_utc_mid_s(line, 2.5) == 102.5
     assert camera_utc_mid_s(line | {"settings": {"navigator.clock_offset_s": -1}}, 2.5) == 99
     assert camera_utc_mid_s(line | {"camera_utc_mid": "1970-01-01T00:00:10Z"}, 0.0) == 10
+
+
+def test_an_error_lies_in_an_ellipse_by_its_axes_and_azimuth() -> None:
+    """Against the quadratic form of its covariance."""
+    ellipse = ErrorEllipse(3.0, 1.0, 0.5, 0.9)
+    major = np.array([np.cos(0.5), np.sin(0.5)])
+    minor = np.array([-major[1], major[0]])
+    shape = 9 * np.outer(major, major) + np.outer(minor, minor)
+    for error in np.random.default_rng(4).normal(0, 2, (300, 2)):
+        assert ellipse.contains(*error.tolist()) == (error @ np.linalg.solve(shape, error) <= 1)
+    assert ellipse.contains(*(2.999 * major).tolist())
+    assert not ellipse.contains(*(3.001 * major).tolist())
+
+
+def test_frames_are_grouped_at_the_levels_of_twilight() -> None:
+    """The Sun at the ends of astronomical, nautical and civil twilight, and at the horizon."""
+    by_name = {one.name.partition(",")[0]: one.edges for one in BINS}
+    assert by_name["altitude of the Sun"] == (-18.0, -12.0, -6.0, 0.0)
+
+
+def test_a_setting_drawn_from_eight_values_is_no_random_one() -> None:
+    def frames(values: int) -> list[FrameScore]:
+        return [scored(truth=frame_truth(settings={"a": k % values, **({"b": k} if k % 2 else {})})) for k in range(18)]
+
+    assert drawn_settings(frames(8)) == {"b"}
+    assert drawn_settings(frames(9)) == {"a", "b"}
+    # A setting of one value is no group.
+    assert [name for name, _ in settings_bins(frames(1))] == ["b"]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.pointing import Pointing
+from glstar.viewer.overlays import table
 from glstar.viewer.overlays.canvas import (
     Canvas,
     arrow_strokes,
@@ -202,6 +204,10 @@ def test_grids_and_horizon_are_where_their_labels_say() -> None:
     np.testing.assert_allclose(np.rad2deg(np.arctan2(hour[:, 1], hour[:, 0])), 30, rtol=0, atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(np.arcsin(hour[[0, -1], 2])), [-80, 80], rtol=1e-7)
     assert len(Grids(camera(320, 240, 3000.0)).altaz_labels) == 44 + 180  # every 2 deg in a half diagonal of 3.8
+    # Lines 1 deg and 5 minutes between neighbours in a narrower field, also if it is smaller than that.
+    for focal_px in (10_000.0, 60_000.0):
+        narrow = Grids(camera(320, 240, focal_px))
+        assert (len(narrow.altaz_labels), len(narrow.equatorial_labels)) == (89 + 360, 179 + 288)
     assert [_hours(m) for m in (0, 60, 65, 90)] == ["0h", "1h", "1h05", "1h30"]
     horizon = horizon_curve(LENS, -0.02).vector
     np.testing.assert_allclose(horizon[:, 2], 0.02, rtol=0, atol=1e-12)
@@ -303,3 +309,34 @@ def test_painted_parts_are_disjoint_and_hold_all_that_changed() -> None:
         for rect in rects:
             inside = rect.common(complete)
             assert inside.is_empty or (painted[inside.top : inside.bottom, inside.left : inside.right] == 1).all()
+
+
+def test_a_curve_of_a_grid_is_labelled_once_where_there_is_room() -> None:
+    asked = []
+
+    def label(text: str, xy: list[float], anchor: list[float]) -> bool:
+        asked.append((text, xy, anchor))
+        return xy[0] > 1
+
+    xy, anchor = np.array([[1.0, 5], [2, 5], [3, 5], [4, 5]]), np.array([[0.0, 0.5], [1, 0.5], [0, 0.5], [1, 0.5]])
+    crossings = {"grid": Crossings(np.array([0, 0, 0, 1]), xy, anchor)}
+    canvas = SimpleNamespace(current="grid", crossings=crossings, label=label)
+    table._draw_edge_labels(canvas, ("one", "two"))
+    # Without room at its first crossing, a curve is labelled at its second, and not again.
+    assert asked == [("one", [1, 5], [0, 0.5]), ("one", [2, 5], [1, 0.5]), ("two", [4, 5], [1, 0.5])]
+
+
+@pytest.mark.parametrize(("count", "marked"), [(10, 10), (2000, 2000), (2001, 1001), (5000, 1667)])
+def test_at_most_two_thousand_saturated_pixels_are_marked(count: int, marked: int) -> None:
+    pixels = np.zeros((80, 100), np.uint8)
+    pixels.ravel()[:count] = 250
+    pixels.ravel()[count:] = 249
+    found = []
+    canvas = SimpleNamespace(
+        scene=SimpleNamespace(sensor=SimpleNamespace(saturation_dn=250)),
+        region=ImageRegion(-0.5, -0.5, 99.5, 79.5),
+        mark=lambda _, xy: found.extend(xy.tolist()),
+    )
+    table._draw_saturated(canvas, SimpleNamespace(pixels=pixels))
+    assert len(found) == marked
+    assert all(int(y) * 100 + int(x) < count for x, y in found)

@@ -174,3 +174,34 @@ def test_the_window_s_sky_stays_dark_under_the_moon_unless_the_stretch_is_held(m
     for _ in range(30):
         viewer.frame(1.0)
     assert brightness() < 0.2
+
+
+@pytest.mark.parametrize("levels", [[7] * 10, [0, 0, 1, 3, 3, 3], [10, 265], [10, 266], [100, 100 + 2 * 256 - 1]])
+def test_the_bins_of_a_histogram_hold_whole_digital_numbers(levels):
+    pixels = np.array([levels], dtype=np.uint16)
+    histogram = Histogram.of(pixels)
+    first, last = min(levels), max(*levels, min(levels) + 1)
+    width = -(-(last + 1 - first) // 256)  # at most 256 bins
+    begins = histogram.level_dn - (width - 1) / 2
+    np.testing.assert_array_equal(begins, first + width * np.arange(len(begins)))
+    assert len(begins) <= 256
+    expected = [np.mean([begin <= level < begin + width for level in levels]) for begin in begins]
+    np.testing.assert_allclose(histogram.fraction, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("rows", "step"), [(1000, 1), (1001, 2), (2000, 2), (2001, 3)])
+def test_the_histogram_counts_at_most_a_thousand_rows(rows, step):
+    pixels = np.repeat(np.arange(rows, dtype=np.uint16)[:, np.newaxis], 2, axis=1)
+    pixels[pixels >= 200] = 200
+    found = Histogram.of(pixels)
+    # Rows 0, `step`, 2 `step` ... below 200: one bin each.
+    counted = len(range(0, rows, step))
+    assert found.fraction[0] == pytest.approx(1 / counted)
+    assert np.count_nonzero(found.fraction) == len(range(0, 200, step)) + 1
+
+
+def test_the_black_of_a_flat_sky_is_its_own_level():
+    usual = Stretch(boost=5.0, black=0.1)
+    for sky_dn in (100, 3000, 40000):
+        stretch = usual.following(np.full((300, 400), sky_dn, np.uint16), 65535, usual)
+        assert stretch.black * 65535 == pytest.approx(sky_dn, abs=0.01)

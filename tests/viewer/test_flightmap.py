@@ -10,6 +10,7 @@ from pyproj import Proj
 from glstar.camera.model import Camera
 from glstar.sky.place.site import Site, geodetic, local_ned_m
 from glstar.system.resources import asset
+from glstar.viewer.flight import map as flightmap
 from glstar.viewer.flight.map import (
     _EARTH_M,
     Coastlines,
@@ -19,6 +20,7 @@ from glstar.viewer.flight.map import (
     _label,
     graticule,
     ground_footprint,
+    image_border,
 )
 from glstar.viewer.ui.panels import flight as flightpanel
 from tests.support.windowinput import press, screen
@@ -303,3 +305,56 @@ def test_a_fixed_position_is_shown_with_its_coast(make_viewer, tmp_path):
     viewer.session.wait_for_flight()
     _frames(viewer)
     assert len(_pixels_of(_show_flight(viewer), COAST)[0]) > 30
+
+
+def test_the_border_of_an_image_is_closed_and_runs_along_its_edges():
+    xy_px = CAMERA.project(image_border(CAMERA))
+    np.testing.assert_allclose(xy_px[0], xy_px[-1], rtol=0, atol=1e-9)
+    # 128 points on each side, clockwise from the top left corner.
+    corners = [[-0.5, -0.5], [399.5, -0.5], [399.5, 299.5], [-0.5, 299.5], [-0.5, -0.5]]
+    np.testing.assert_allclose(xy_px[::128], corners, rtol=0, atol=1e-9)
+    off_px = np.abs(xy_px[:, np.newaxis] - [[-0.5, -0.5], [399.5, 299.5]]).min(axis=(1, 2))
+    np.testing.assert_allclose(off_px, 0, rtol=0, atol=1e-9)
+    assert np.linalg.norm(np.diff(xy_px, axis=0), axis=1).max() < 3.2
+
+
+def test_the_coast_is_that_of_its_asset(monkeypatch):
+    """Two lines, the first longer than a part: 70 points along a parallel, and two along a meridian."""
+    steps = np.array([[100, 200], *[[0, 1]] * 69, [5000, -300], [1, 0]])
+    stored = {"latitude_steps": steps[:, 0], "longitude_steps": steps[:, 1], "points": np.array([70, 2])}
+
+    class _Asset(dict):
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+    monkeypatch.setattr(flightmap.np, "load", lambda _: _Asset(stored))
+    latitude_rad, longitude_rad, starts = flightmap._coast.__wrapped__()
+    # A part of 64 points, one of the other 7 that begins with the last of the first, and the second line.
+    assert starts.tolist() == [0, 65, 73]
+    first = 2 + np.arange(70) / 100
+    expected = [*first[:64], np.nan, *first[63:], np.nan, -3.0, -3.0, np.nan]
+    np.testing.assert_allclose(np.rad2deg(longitude_rad), expected, rtol=0, atol=1e-9)
+    assert np.rad2deg(latitude_rad[[0, 71, 73, 74]]) == pytest.approx([1.0, 1.0, 50.0, 50.01])
+
+
+def test_points_in_the_same_pixel_are_left_out_and_gaps_stay(monkeypatch):
+    east_deg = np.array([0.0, 0.001, 0.002, 0.011, np.nan, 1.0, 1.1, np.nan])
+    coast = np.deg2rad(np.where(np.isnan(east_deg), np.nan, 0.0)), np.deg2rad(east_deg), np.array([0, 5])
+    monkeypatch.setattr(flightmap, "_coast", lambda: coast)
+    lines = Coastlines(Site(0.0, 0.0))
+    near_m = lines.within(MapLimits(-100.0, 5000.0, -10.0, 10.0), 1000.0)
+    # 0, 111, 223 and 1224 m east of the origin; the second line, 111 km away, is not on this part.
+    np.testing.assert_allclose(near_m[:, 0], [0.0, 1224.5, np.nan], rtol=0, atol=0.1)
+    assert len(lines.within(MapLimits(-100.0, 5000.0, -10.0, 10.0), 100.0)) == 5
+    assert len(lines.within(MapLimits(-100.0, 2e5, -10.0, 10.0), 1000.0)) == 6
+    # Beside a line on every side.
+    for limits in ((-2e3, -1e3, -10, 10), (2e5, 3e5, -10, 10), (-100, 5e3, 1, 10), (-100, 5e3, -10, -1)):
+        assert len(lines.within(MapLimits(*map(float, limits)), 100.0)) == 0
+
+
+def test_a_map_beside_the_earth_has_all_of_it_as_bounds():
+    far_m = 2 * EQUATOR_M
+    assert _bounds_deg(Site(0.5, 0.1), MapLimits(far_m, far_m + 1e5, -5e4, 5e4)) == (-90.0, 90.0, -180.0, 180.0)

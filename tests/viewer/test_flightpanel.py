@@ -87,8 +87,31 @@ def test_the_ground_track_crosses_the_date_line(tmp_path):
     (tmp_path / "line.csv").write_text("\n".join([HEAD, *rows]) + "\n")
     flight = Config().open_flight(tmp_path / "line.csv")
     track_m = ground_track_m(flight, flight.position.at(START_S))
-    np.testing.assert_allclose(np.diff(track_m[:, 0]), 4e-4 * 109_639, rtol=2e-3, atol=0)
+    np.testing.assert_allclose(np.diff(track_m[:, 0]), np.full(9, 4e-4 * 109_639), rtol=2e-3, atol=0)
     assert len(ground_track_m(flight, flight.position.at(START_S), points=3)) <= 4
+
+
+def test_a_speed_is_the_mean_of_a_second(tmp_path):
+    """Of t^3 m it rises by 2 h^3 within h of t = 0: by 0.25 m/s on average over half a second before and after."""
+    t = np.arange(-5.0, 5.001, 0.05)
+    rows = [f"{START_S + 5 + s:.2f},0,0,0,-34.93,138.6,{300 + s**3:.6f}" for s in t]
+    (tmp_path / "cubic.csv").write_text("\n".join([HEAD, *rows]) + "\n", encoding="utf-8")
+    config = Config()
+    simulator = config.simulator(config.open_flight(tmp_path / "cubic.csv"))
+    assert aircraft_state(simulator, START_S + 5).climb_m_per_s == pytest.approx(0.25, abs=0.01)
+    # At the ends of the flight the mean is that of the half that is known: 5^3 - 4.5^3 in half a second.
+    assert aircraft_state(simulator, START_S + 10).climb_m_per_s == pytest.approx((125 - 4.5**3) / 0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(50.0, -40.0), (50.0, 40.0), (-50.0, -40.0), (-50.0, 40.0)])
+def test_the_lowest_altitude_is_that_of_a_corner(tmp_path, small, roll_deg, pitch_deg):
+    """Each corner is the lowest of one attitude, against directions from the camera's own numbers."""
+    state = _state(tmp_path, small, roll_deg=roll_deg, pitch_deg=pitch_deg)
+    camera = small.camera()
+    x = (np.array([-0.5, 253.5, -0.5, 253.5]) - camera.cx_px) / camera.fx_px
+    y = (np.array([-0.5, -0.5, 189.5, 189.5]) - camera.cy_px) / camera.fy_px
+    down = np.column_stack([x, y, np.ones(4)]) @ state.C_camera_ned[:, 2] / np.sqrt(x**2 + y**2 + 1)
+    assert state.lowest_altitude_rad == pytest.approx(-np.arcsin(down.max()), abs=1e-9)
 
 
 def test_north_east_and_down_have_their_signs():

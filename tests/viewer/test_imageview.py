@@ -75,3 +75,15 @@ def test_a_picture_of_another_size_is_fitted_again():
     view_.one_to_one()
     view_.resize(100, 100, 800, 500)
     assert view_.zoom == pytest.approx(5.0)
+
+
+def test_the_edges_of_an_image_are_half_a_pixel_beyond_its_outer_pixels():
+    view_ = ImageView()
+    view_.resize(100, 80, 400, 320)
+    # Four screen px for each px: the complete panel; a smaller image ends in it.
+    assert view_.edges(100, 80).tolist() == [[0, 0], [400, 320]]
+    assert view_.edges(30, 20).tolist() == [[0, 0], [120, 80]]
+    assert view_.corner == (0.0, 0.0)
+    view_.pan(40.0, -20.0)
+    assert view_.corner == pytest.approx((-10.0, 5.0))
+    assert view_.edges(100, 80).tolist() == [[40, -20], [440, 300]]

@@ -486,7 +486,9 @@ def test_a_flight_shorter_than_an_exposure_is_shown_completely_with_a_message(mo
     assert head.second == pytest.approx(0.105, abs=CLOCK_S)
 
 
-@pytest.mark.parametrize("ends", [(1.0, 1.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
+@pytest.mark.parametrize(
+    "ends", [(1.0, 1.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.inf), (-math.inf, 1.0), (0.0, math.nan)]
+)
 def test_a_flight_without_duration_cannot_be_played(ends: tuple[float, float]) -> None:
     with pytest.raises(TelemetryError, match="cannot be played"):
         PlayHead(*ends, ExposureSection())
@@ -672,3 +674,50 @@ def test_exposures_keep_their_numbers_when_samples_are_dropped_from_the_buffer()
     head.seek(1099.0)
     assert (head.number, head.exposure().start_utc_s) == (32, 1096.0)
     assert head.second == 99.0
+
+
+def test_typed_ends_of_a_flight_are_inside_and_a_thousandth_of_a_second_beyond_is_not() -> None:
+    head = at(30.0)
+    for text, second in (("60", 60.0), ("0", 0.0), ("60.0000005", 60.0)):
+        head.seek_text(text)
+        assert head.second == pytest.approx(second, abs=CLOCK_S)
+    for text in ("60.001", "+0.001"):
+        head.seek(head.last_s)
+        with pytest.raises(ConfigError, match="outside the flight"):
+            head.seek_text(text)
+    head.first()
+    with pytest.raises(ConfigError, match="outside the flight"):
+        head.seek_text("-0.001")
+
+
+def test_steps_of_many_exposures_end_at_the_first_and_the_last() -> None:
+    head = at(30.0, duration_s=1.0, interval_s=2.0)
+    head.step_exposures(1000)
+    assert (head.number, head.second) == (29, pytest.approx(59.0, abs=CLOCK_S))
+    head.step_exposures(-1000)
+    assert (head.number, head.second) == (0, pytest.approx(1.0, abs=CLOCK_S))
+    # Between exposures in sliding mode, the one before is a step back, and no step goes the other direction.
+    head.mode = Mode.SLIDING
+    head.seek(ADELAIDE_UTC_S + 10.5)
+    assert head.number is None
+    head.step_exposures(-1)
+    assert (head.number, head.second) == (4, pytest.approx(9.0, abs=CLOCK_S))
+    head.seek(ADELAIDE_UTC_S + 0.5)
+    head.step_exposures(-1)
+    assert head.second == pytest.approx(0.5, abs=CLOCK_S)
+    head.seek(ADELAIDE_UTC_S + 59.5)
+    head.step_exposures(1)
+    assert head.second == pytest.approx(59.5, abs=CLOCK_S)
+
+
+def test_seeking_the_end_of_a_growing_flight_plays_forwards() -> None:
+    head = growing()
+    head.seek_by(-5.0)
+    head.speed = -4.0
+    head.playing = False
+    head.seek(head.last_s)
+    assert (head.live, head.playing, head.speed) == (True, True, 4.0)
+    # A flight that is complete is never live.
+    complete = at(10.0)
+    complete.seek(complete.last_s)
+    assert (complete.live, complete.playing) == (False, False)

@@ -147,3 +147,46 @@ def test_an_earlier_part_of_a_growing_flight_stays_in_view() -> None:
     axis.fit()
     axis.grow(300.0, 900.0)
     assert (axis.start_s, axis.stop_s) == pytest.approx((297.0, 903.0))
+
+
+def test_a_zoomed_part_of_a_growing_flight_stays_zoomed() -> None:
+    axis = TimeAxis(600.0)
+    axis.grow(0.0, 602.0)
+    # A complete flight stays complete, with its margins of 1/200.
+    assert (axis.start_s, axis.stop_s) == pytest.approx((-3.01, 605.01))
+    axis.zoom(300.0, 0.1)
+    before = axis.start_s, axis.stop_s
+    axis.grow(0.0, 610.0)
+    assert (axis.start_s, axis.stop_s) == pytest.approx(before)
+    # With the end in view, the end stays in view.
+    axis.pan(1000.0)
+    span_s = axis.span_s
+    axis.grow(0.0, 700.0)
+    assert axis.span_s == pytest.approx(span_s)
+    assert axis.stop_s == pytest.approx(703.5)
+
+
+@pytest.mark.parametrize(
+    ("second", "start_s"),
+    [
+        # Of 100 to 200 s: inside from a tenth to nine tenths, just outside up to a length beyond, and far away.
+        (110.5, 100.0),
+        (189.5, 100.0),
+        (105.0, 95.0),
+        (195.0, 105.0),
+        (1.0, -3.0),
+        (299.0, 209.0),
+        (301.0, 251.0),
+        (400.0, 350.0),
+    ],
+)
+def test_a_play_head_is_followed_to_the_edge_and_from_afar_to_the_middle(second: float, start_s: float) -> None:
+    axis = showing(100.0, 200.0)
+    axis.follow(second)
+    assert (axis.start_s, axis.span_s) == pytest.approx((start_s, 100.0))
+
+
+def test_a_hundredth_of_a_second_is_the_smallest_part() -> None:
+    axis = TimeAxis(600.0)
+    axis.zoom(300.0, 1e-9)
+    assert axis.span_s == pytest.approx(0.01, rel=1e-9)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glstar.viewer.flight.traces import Trace
+from glstar.viewer.flight.traces import Trace, _corners
 
 many = settings(deadline=None, max_examples=150)
 
@@ -165,3 +165,22 @@ def test_a_spike_between_samples_of_the_same_time_is_kept() -> None:
     assert shown_y.max() == 30.0
     assert -7.0 in shown_y
     assert shown_x[shown_y == -7.0].tolist() == [35.0]
+
+
+@pytest.mark.parametrize(
+    ("height", "kept"),
+    [
+        # A change of slope below the highest point, and one at it.
+        ([0, 1, 2, 3, 3.5, 4, 4.5, 5], [0, 3, 7]),
+        ([0, 1, 2, 3, 4, 3, 2, 1, 0.5], [0, 4, 7, 8]),
+        ([3, 2, 1, 0, 1, 2, 4, 6, 8], [0, 3, 5, 8]),
+    ],
+)
+def test_straight_parts_keep_their_ends_alone(height: list[float], kept: list[int]) -> None:
+    assert _corners(np.arange(len(height), dtype=float), np.array(height, dtype=float), 1e-9) == kept
+
+
+def test_both_sides_of_a_break_are_kept() -> None:
+    height = np.array([0.0, 1, 2, np.nan, 5, 6, 7, 8])
+    assert _corners(np.arange(8.0), height, 1e-9) == [0, 2, 3, 4, 7]
+    assert _corners(np.arange(3.0), np.full(3, np.nan), 1e-9) == [0, 1, 2]

@@ -6,7 +6,6 @@ horizon stays level.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from math import asin, atan2, cos, degrees, dist, hypot, pi, radians, remainder, sin, tan
 
 import numpy as np
@@ -20,6 +19,7 @@ from glstar.render.scene.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
+from glstar.viewer.flight.map import image_border
 from glstar.viewer.overlays.canvas import ned_to_camera_matrix
 
 # Horizontal fields of view, rad, and the first one.
@@ -31,8 +31,6 @@ _STEREOGRAPHIC = Lens("omni", (1.0,))
 _SMALLEST_PX, _LARGEST_PX = 64, 2048
 # Most that one px of the mouse turns the camera, rad: a star 20 px from the zenith can still be led around it.
 _MOST_RAD_PER_PX = 0.05
-# Points along each side of the outline of the aircraft's own image.
-_OUTLINE_POINTS = 17
 
 
 @dataclass(slots=True, eq=False)
@@ -153,12 +151,8 @@ class LookAround:
         attitude, mid_s = aircraft.flight.attitude, scene.exposure.mid_utc_s
         if not attitude.covers(mid_s):
             return np.empty((0, 2))
-        right, bottom = aircraft.camera.width_px - 0.5, aircraft.camera.height_px - 0.5
-        corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom], [-0.5, -0.5]])
-        along = np.linspace(0.0, 1.0, _OUTLINE_POINTS)[:, np.newaxis]
-        border = np.concatenate([a + along * (b - a) for a, b in pairwise(corners)])
         C_ned_own = ned_to_camera_matrix(aircraft.pointing(np.array([mid_s])))
-        ned = aircraft.camera.unit_vectors(border) @ C_ned_own
+        ned = image_border(aircraft.camera) @ C_ned_own
         return scene.camera.project(ned @ ned_to_camera_matrix(scene.shutter[1:2]).T)
 
 

@@ -49,13 +49,14 @@ def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, floa
 def image_border(camera: Camera) -> Float:
     """Return directions along the border of an image.
 
-    Returns (n, 3) vectors in the camera frame, in order; NaN beyond the limit of the lens.
+    Returns (n, 3) vectors in the camera frame, in order, the first one again at the end; NaN beyond the limit of the
+    lens.
     """
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom], [-0.5, -0.5]])
     along = np.linspace(0.0, 1.0, _BORDER_POINTS, endpoint=False)[:, np.newaxis]
     sides = [start + along * (end - start) for start, end in pairwise(corners)]
-    return camera.unit_vectors(np.concatenate(sides))
+    return camera.unit_vectors(np.concatenate([*sides, corners[:1]]))
 
 
 # Interval over which speeds are measured, s: GPS positions come five times a second at most.

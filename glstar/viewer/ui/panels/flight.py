@@ -317,7 +317,7 @@ def _draw_scale(colour: Colour) -> None:
 _HORIZON_PX = 150.0
 _HALF_PITCH_DEG = 30.0
 # Lines of the pitch ladder: every 10 deg.
-_LADDER_DEG = (-60, -50, -40, -30, -20, -10, 10, 20, 30, 40, 50, 60)
+_LADDER_DEG = tuple(deg for deg in range(-60, 61, 10) if deg)
 # Sky, ground, lines and aircraft by day and by night.
 _SKY: tuple[Colour, Colour] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 1.0))
 _HEADING_BOX: tuple[Colour, Colour] = ((0.05, 0.06, 0.08, 0.85), (0.03, 0.0, 0.0, 0.85))
