@@ -187,13 +187,15 @@ class _Fit:
         model, across, down, x, y, weight, real = (
             image.ravel()[self._inside] for image in (model, across, down, x, y, weight, real)
         )
-        u, brightness = self._along, self.brightness
+        # The trail is stretched by 1 + s along its own direction, which has turned with it.
+        u = deformation(self._along, np.array([0.0, 0.0, 0.0, self.modes[3]])) @ self._along
+        longer, brightness = 1 + self.modes[2], self.brightness
         jacobian = np.empty((len(model), 6))
         jacobian[:, 0] = model
         jacobian[:, 1] = 1.0
         jacobian[:, 2] = -brightness * across
         jacobian[:, 3] = -brightness * down
-        jacobian[:, 4] = -brightness * (x * u[0] + y * u[1]) * (across * u[0] + down * u[1])
+        jacobian[:, 4] = -brightness / longer * (x * u[0] + y * u[1]) * (across * u[0] + down * u[1])
         jacobian[:, 5] = -brightness * (down * x - across * y)
         jacobian *= weight[:, np.newaxis]
         return jacobian, (real - brightness * model - self.sky_dn) * weight

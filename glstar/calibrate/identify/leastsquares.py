@@ -169,6 +169,7 @@ class FreeParameters:
             fy_px=camera.fy_px * factor,
             cx_px=camera.cx_px + float(right),
             cy_px=camera.cy_px + float(down),
+            skew_px=camera.skew_px * factor,
             lens=lens,
         )
         turns = step[:f].reshape(-1, 3)
