@@ -21,6 +21,7 @@ from glstar.sky.air.skybrightness import (
     SkyLights,
     SkyState,
     SkyView,
+    light_name,
     moonlight_nl,
     nanolamberts_to_mag,
     sky_radiance,
@@ -361,3 +362,17 @@ def test_moonlight_fades_by_1_3_mag_a_degree_below_the_horizon() -> None:
     ratios = [lit(0.0) / lit(-1.0), lit(-1.0) / lit(-2.5)]
     np.testing.assert_allclose(ratios, 10 ** (0.4 * 1.3 * np.array([1, 1.5])), rtol=1e-6)
     assert lit(10.0) > lit(0.0)
+
+
+@pytest.mark.parametrize(
+    ("sun_deg", "before", "after"),
+    # Sunset is at -0.833 deg: 16 arcmin of the Sun's radius and 34 arcmin of refraction.
+    [
+        (-0.833, "day", "civil twilight"),
+        (-6.0, "civil twilight", "nautical twilight"),
+        (-12.0, "nautical twilight", "astronomical twilight"),
+        (-18.0, "astronomical twilight", "night"),
+    ],
+)
+def test_twilights_end_at_six_twelve_and_eighteen_degrees(sun_deg: float, before: str, after: str) -> None:
+    assert [light_name(np.deg2rad(sun_deg + change)) for change in (1e-3, -1e-3)] == [before, after]
