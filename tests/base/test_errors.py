@@ -238,3 +238,26 @@ def test_a_mistake_of_glstar_s_own_code_is_no_damage_for_developers_and_the_test
     monkeypatch.delenv("GLSTAR_DEVELOPMENT")
     with pytest.raises(LogFormatError, match=r"^/log\.BIN: cannot be read: it has no roll$"), reading():
         {}["roll"]
+
+
+def test_the_line_that_raises_decides_and_not_its_callers(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The lines of this file take the part of glstar's: three calls deep, a library raises in the last.
+    monkeypatch.setattr(errors, "_PACKAGE", str(Path(__file__).parent))
+
+    def deeper(text: str) -> object:
+        return _parsed(text)
+
+    def refused_deeper() -> object:
+        return _refused("")
+
+    reading = partial(errors.reading, "/log.BIN", LogFormatError)
+    with pytest.raises(LogFormatError, match=r"^/log\.BIN: cannot be read: Expecting value"), reading():
+        deeper("no JSON")
+    with pytest.raises(LogFormatError, match=r"^/log\.BIN: is longer than a page$"), reading():
+        refused_deeper()
+
+
+def test_a_reason_is_cut_after_300_characters() -> None:
+    assert errors.reason_of(ValueError("x" * 1000)) == "x" * 300
+    assert errors.reason_of(KeyError()) == "it has no key"
+    assert errors.reason_of(OSError("lost")) == "lost"

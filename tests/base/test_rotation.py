@@ -10,6 +10,7 @@ from glstar.rotation import (
     about_y,
     about_z,
     conjugate,
+    euler_from_quaternion,
     matrix_from_euler,
     matrix_from_quaternion,
     multiply,
@@ -261,3 +262,12 @@ def test_matrices_and_quaternions_agree_with_scipy() -> None:
     np.testing.assert_allclose(matrix_from_euler(roll, pitch, yaw), body_to_ned.inv().as_matrix(), rtol=0, atol=1e-14)
     expected = np.roll(body_to_ned.inv().as_quat(), 1, axis=-1)
     assert between_rad(quaternion_from_euler(roll, pitch, yaw), expected).max() < 1e-13
+
+
+@many
+@given(st.floats(-179, 179), st.floats(-89, 89), st.floats(-179, 179))
+def test_euler_angles_are_the_inverse_of_their_quaternion(roll_deg: float, pitch_deg: float, yaw_deg: float) -> None:
+    angles = np.deg2rad([roll_deg, pitch_deg, yaw_deg])
+    for sign in (1, -1):
+        found = np.array(euler_from_quaternion(sign * quaternion_from_euler(*angles)))
+        np.testing.assert_allclose((found - angles + np.pi) % (2 * np.pi), np.pi, rtol=0, atol=1e-9)

@@ -118,3 +118,89 @@ def test_exposures_that_fill_the_flight_to_the_end_all_fit() -> None:
 
 def test_exposures_are_counted_for_an_absurdly_short_interval() -> None:
     assert ExposureSection(interval_s=1e-310).count_within(100.0) == 2**53 + 1
+
+
+def test_short_exposures_begin_with_the_stack_and_the_last_ends_with_it() -> None:
+    for readout_s, gap_s in ((0.0, 0.0), (0.0, 0.3), (0.05, 0.02)):
+        stack = Exposure(ADELAIDE_UTC_S, 0.1, frames=7, gap_s=gap_s, readout_s=readout_s)
+        shorts, times = stack.short_exposures(), stack.short_times_s()
+        starts = [short.start_utc_s for short in shorts]
+        np.testing.assert_allclose(np.diff(starts), 0.1 + gap_s, rtol=0, atol=2 * CLOCK_S)
+        assert starts[0] == ADELAIDE_UTC_S
+        assert shorts[-1].stop_utc_s <= stack.stop_utc_s
+        assert shorts[-1].stop_utc_s == pytest.approx(stack.stop_utc_s, rel=0, abs=CLOCK_S)
+        assert stack.span_s == pytest.approx(0.7 + 6 * gap_s + readout_s, rel=0, abs=1e-12)
+        np.testing.assert_allclose(times[:, 1] - times[:, 0], 0.1 + readout_s, rtol=0, atol=2 * CLOCK_S)
+        assert times[-1, 1] == stack.stop_utc_s
+        assert (times[1:, 0] == times[:-1, 1]).all() == (gap_s == readout_s == 0.0)
+        assert all(short.frames == 1 and short.readout_s == readout_s for short in shorts)
+        assert stack.mid_utc_s == pytest.approx(ADELAIDE_UTC_S + stack.span_s / 2, rel=0, abs=CLOCK_S)
+
+
+def test_a_rolling_shutter_reads_a_short_exposure_before_the_next() -> None:
+    assert Exposure(0.0, 0.1, frames=2, gap_s=0.2, readout_s=0.1 + 0.2).frames == 2
+    assert Exposure(0.0, 0.1, frames=2, gap_s=0.2, readout_s=0.3 * (1 + 0.9e-9)).frames == 2
+    assert Exposure(0.0, 0.1, frames=1, readout_s=0.5).frames == 1
+    with pytest.raises(ConfigError, match=r"take at least 0\.200001") as caught:
+        Exposure(0.0, 0.1, frames=2, gap_s=0.2, readout_s=0.3000005)
+    assert caught.value.key == "exposure.gap_s"
+
+
+def test_rows_open_one_after_the_other_in_the_direction_of_the_readout() -> None:
+    corners = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 2.0], [4.0, 2.0]])
+    for readout, opens in {
+        "down": [0, 0, 0.6, 0.6],
+        "up": [0.6, 0.6, 0, 0],
+        "right": [0, 0.6, 0, 0.6],
+        "left": [0.6, 0, 0.6, 0],
+    }.items():
+        exposure = Exposure(0.0, 1.0, readout_s=0.6, readout=readout)
+        np.testing.assert_allclose(exposure.opening_at_s(corners, 5, 3), opens, rtol=0, atol=1e-12)
+        back = exposure.with_readout_s(-0.3)
+        np.testing.assert_allclose(back.opening_at_s(corners, 5, 3), 0.3 - np.divide(opens, 2), rtol=0, atol=1e-12)
+        assert exposure.with_readout_s(0.0).readout == readout
+        assert exposure.opening_s(1, 1) == (0.0, 0.0, 0.0)
+
+
+def test_a_stack_adds_or_averages_its_digital_numbers() -> None:
+    total, mean = (Exposure(0.0, 0.1, frames=16, stack=stack) for stack in ("sum", "mean"))
+    assert (total.signal_factor, mean.signal_factor) == (16, 1)
+    assert total.full_scale_dn(4095) == 65520
+    assert mean.full_scale_dn(65535) == 65535
+    assert Exposure(0.0, 0.1, frames=257).full_scale_dn(255) == 65535
+    with pytest.raises(ConfigError, match="take at most 15"):
+        total.full_scale_dn(4096 + 100)
+
+
+def test_a_shortened_stack_keeps_its_rhythm() -> None:
+    short = Exposure(0.0, 0.5, frames=3, gap_s=0.1).shortened(0.2)
+    assert (short.duration_s, short.frames) == (0.2, 3)
+    assert short.gap_s == pytest.approx(0.4, rel=1e-12)
+    assert Exposure(0.0, 0.5, gap_s=0.1).shortened(0.6).gap_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"start_utc_s": np.inf}, "start_utc_s"),
+        ({"rate_hz": np.inf}, "rate_hz"),
+        ({"duration_s": np.inf}, "duration_s"),
+        ({"path_tolerance_px": -1e-9}, "path_tolerance_px"),
+        ({"faintest_dn": np.nan}, "faintest_dn"),
+        ({"trail": "x"}, "trail"),
+        ({"readout_s": -1e-9}, "readout_s"),
+        ({"readout_s": np.inf}, "readout_s"),
+        ({"readout": "x"}, "readout"),
+        ({"frames": 0}, "frames"),
+        ({"frames": 1.5}, "frames"),
+        ({"gap_s": -1e-9}, "gap_s"),
+        ({"gap_s": np.inf}, "gap_s"),
+        ({"stack": "x"}, "stack"),
+    ],
+)
+def test_what_no_exposure_can_be_names_its_key(keys: dict, key: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        Exposure(**{"start_utc_s": 0.0, "duration_s": 1.0} | keys)
+    assert caught.value.key == f"exposure.{key}"
+    allowed = {"path_tolerance_px": 0.0, "faintest_dn": 0.0, "readout_s": 0.0, "frames": 1, "gap_s": 0.0}
+    assert getattr(Exposure(0.0, 1.0, **allowed), key) is not None

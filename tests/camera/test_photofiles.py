@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from glstar.calibrate.photo.photograph import read_image
 from glstar.camera.camerafile import camera_to_yaml
 from glstar.camera.model import Camera
-from glstar.camera.photofile import has_image_signature, read_exif
+from glstar.camera.photofile import _is_cut_off, as_digital_numbers, has_image_signature, read_exif, stated_shift_bits
 from glstar.cli import app
 from glstar.errors import CalibrationError, ImagesError
 from glstar.images.decoding import read_grey
@@ -216,3 +216,33 @@ def test_random_images_are_right_or_refused() -> None:
     verdicts = [photofiles.verdict(photofiles.random_case(np.random.default_rng([6, k]))) for k in range(100)]
 
     assert [verdict for verdict in verdicts if verdict not in ("right", "refused")] == []
+
+
+def test_significant_bits_of_a_png_are_those_of_its_one_channel() -> None:
+    def png(*chunks: tuple[bytes, bytes]) -> bytes:
+        parts = [struct.pack(">I", len(data)) + kind + data + bytes(4) for kind, data in chunks]
+        return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+    head, body = (b"IHDR", bytes(13)), (b"IDAT", b"\x0c")
+    assert stated_shift_bits(png(head, (b"sBIT", b"\x0c"), body)) == 4
+    assert stated_shift_bits(png(head, (b"sBIT", b"\x0c\x0c\x0c"), body)) == 0  # of colours
+    assert stated_shift_bits(png(head, (b"tEXt", b"\x0c"), body)) == 0
+    assert stated_shift_bits(png(head, (b"sBIT", b"\x00"), body)) == 0
+    assert stated_shift_bits(png(head, (b"sBIT", b"\x11"), body)) == 0
+    assert stated_shift_bits(png(head, body, (b"sBIT", b"\x0c"))) == 0
+
+
+def test_shifted_numbers_are_moved_down_only_where_no_bit_is_lost() -> None:
+    shifted = (LEVELS << 4).astype(np.uint16)
+    np.testing.assert_array_equal(as_digital_numbers(shifted, 4), LEVELS)
+    assert as_digital_numbers(shifted, 0) is shifted
+    assert as_digital_numbers(shifted, 5) is shifted
+    assert as_digital_numbers(LEVELS, 4) is LEVELS
+    colours = np.stack([shifted] * 3, axis=-1)
+    assert as_digital_numbers(colours, 4) is colours
+
+
+@pytest.mark.parametrize(("tail", "is_cut"), [(b"", True), (b"\xff\xd9", False), (b"\xff\xd9" + bytes(500), False)])
+def test_a_jpeg_without_an_end_after_its_last_scan_is_cut(tail: bytes, is_cut: bool) -> None:
+    thumbnail = b"\xff\xda" + bytes(200) + b"\xff\xd9"
+    assert _is_cut_off(b"\xff\xd8" + thumbnail + b"\xff\xda" + bytes(300) + tail) == is_cut

@@ -142,3 +142,10 @@ def test_a_map_that_does_not_fit_is_refused(tmp_path: Path, content: np.ndarray 
         PixelPattern(dark_frame=str(file)).require_size(*SIZE_PX)
 
     assert refused.value.key == "sensor.dark_frame"
+
+
+def test_dead_pixels_lie_anywhere_among_the_defects() -> None:
+    # With as many defects as pixels, the places of the dead ones are a random half: 500 +- 9 on average.
+    every = PixelPattern(camera_seed=1, hot_pixels_per_mpx=5e5, dead_pixels_per_mpx=5e5).defects(1000, 1)
+    assert sorted(every.x_px.tolist()) == list(range(1000))
+    assert every.x_px[every.is_dead].mean() == pytest.approx(499.5, rel=0, abs=60)

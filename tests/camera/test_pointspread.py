@@ -99,3 +99,68 @@ def test_wings_raise_the_flux_for_the_same_amplitude():
 def test_an_impossible_shape_is_an_error_that_names_the_key(keys, named):
     with pytest.raises(ConfigError, match=named.replace("sensor.", r".*")):
         Config().override(**{f"sensor.{key}": value for key, value in keys.items()}).sensor()
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "high"),
+    [
+        ("psf_beta", 2.0, 20.0),
+        ("psf_wing_fraction", 0.0, 0.9),
+        ("psf_wing_sigma_px", 0.1, 40.0),
+        ("psf_halo_fraction", 0.0, 0.5),
+        ("psf_halo_radius_px", 1.0, 40.0),
+        ("psf_growth", 0.0, 4.0),
+        ("psf_ellipticity", 0.0, 0.4),
+        ("psf_angle_rad", -2 * np.pi, 2 * np.pi),
+        ("psf_tilt", 0.0, 0.9),
+        ("psf_tilt_angle_rad", -2 * np.pi, 2 * np.pi),
+        ("psf_colour_growth", -0.5, 0.5),
+    ],
+)
+def test_the_limits_of_each_value_are_valid_and_what_lies_beyond_is_not(key, low, high):
+    for value in (low, high):
+        assert getattr(PointSpread(**{key: value}), key) == value
+    for value in (low - 1e-6, high + 1e-6):
+        with pytest.raises(ConfigError) as caught:
+            PointSpread(**{key: value})
+        assert caught.value.key == f"sensor.{key}"
+
+
+def test_the_core_has_what_wings_and_halo_leave():
+    psf = PointSpread(psf_wing_fraction=0.3, psf_wing_sigma_px=7.0, psf_halo_fraction=0.1, psf_halo_radius_px=16.0)
+    core, wings, *halo = psf.circular(1.0)
+    assert (core.flux_fraction, core.sigma_px) == (pytest.approx(0.6, rel=1e-12), 1.0)
+    assert (wings.flux_fraction, wings.sigma_px) == (0.3, 7.0)
+    # From its radius down in factors of 2, to twice the core.
+    assert [one.sigma_px for one in halo] == [16.0, 8.0, 4.0, 2.0]
+    assert [one.flux_fraction for one in halo] == pytest.approx([0.025] * 4, rel=1e-12)
+    with pytest.raises(ConfigError, match="leaves 0 of the flux"):
+        PointSpread(psf_wing_fraction=0.5, psf_halo_fraction=0.5).circular(1.0)
+
+
+@pytest.mark.parametrize("beta", [2.5, 4.0])
+def test_a_moffat_core_has_the_width_at_half_maximum_of_its_gaussian(beta):
+    r = np.linspace(0, 6, 6001)
+    profile = sum(
+        one.flux_fraction / one.sigma_px**2 * np.exp(-(r**2) / (2 * one.sigma_px**2))
+        for one in PointSpread("moffat", beta).circular(2.0)
+    )
+    half_px = r[np.argmax(profile < profile[0] / 2)]
+    assert half_px == pytest.approx(2.0 * np.sqrt(2 * np.log(2)), rel=0.01)
+
+
+def test_only_what_differs_from_one_gaussian_is_none():
+    assert PointSpread(psf_wing_sigma_px=9.0, psf_beta=5.0).is_gaussian
+    for keys in (
+        {"psf": "moffat"}, {"psf_wing_fraction": 0.1}, {"psf_halo_fraction": 0.1}, {"psf_ellipticity": 0.1},
+        {"psf_growth": 0.1}, {"psf_tilt": 0.1}, {"psf_colour_growth": 0.1},
+    ):  # fmt: skip
+        psf = PointSpread(**keys)
+        assert not psf.is_gaussian
+        assert psf.varies == any(key in keys for key in ("psf_growth", "psf_tilt", "psf_colour_growth"))
+
+
+def test_stars_are_never_narrower_than_a_fifth():
+    psf = PointSpread(psf_tilt=0.9)
+    assert psf.scale_at([-1.0, 0.0]) == 0.2
+    assert psf.scale_at([-0.88, 0.0]) == pytest.approx(1 - 0.9 * 0.88, rel=1e-12)

@@ -175,3 +175,27 @@ def test_random_camera_files_are_right_or_refused() -> None:
 
     assert [verdict for verdict in verdicts if verdict not in ("right", "refused")] == []
     assert verdicts.count("right") > 60
+
+
+@pytest.mark.parametrize(("lens", "least"), [("", 0.1), ("distortion_model: fisheye\n", 0.03)])
+def test_the_least_focal_length_that_is_in_pixels(tmp_path: Path, lens: str, least: float) -> None:
+    def text(fx_px: float, fy_px: float) -> str:
+        return f"image_size: [1000, 800]\nfx: {fx_px}\nfy: {fy_px}\ncx: 500\ncy: 400\n{lens}"
+
+    # Of the width of 1000 px for fx, of the height of 800 px for fy; one of both may be shorter.
+    for fx_px, fy_px in ((1001, 801), (999, 801), (1001, 799)):
+        assert read(tmp_path / "c.yaml", text(fx_px * least, fy_px * least)).fx_px == fx_px * least
+    assert "not in pixels" in refusal(tmp_path / "c.yaml", text(999 * least, 799 * least))
+
+
+def test_a_matrix_and_the_same_numbers_by_name_agree_and_keep_the_skew(tmp_path: Path) -> None:
+    matrix = "image_size: [1280, 960]\nK: [[700, 1.5, 640], [0, 701, 480], [0, 0, 1]]\n"
+    named = "fx: 700\nfy: 701\ncx: 640\ncy: 480\n"
+    for text in (matrix, matrix + named, matrix + "fx: 700\n"):
+        camera = read(tmp_path / "c.yaml", text)
+        assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, camera.skew_px) == (700, 701, 640, 480, 1.5)
+    assert read(tmp_path / "c.yaml", "image_size: [1280, 960]\n" + named).skew_px == 0
+    assert "they contradict each other" in refusal(tmp_path / "c.yaml", matrix + named.replace("701", "702"))
+    assert "has no camera matrix" in refusal(
+        tmp_path / "c.yaml", "image_size: [1280, 960]\nfx: 700\nfy: 701\ncx: 640\n"
+    )

@@ -19,6 +19,7 @@ from glstar.rotation import (
     quaternion_from_euler,
     quaternion_from_turn,
     slerp,
+    turn_between,
     turn_from_quaternion,
 )
 from glstar.system.resources import asset
@@ -381,3 +382,25 @@ def test_manoeuvres_of_a_flying_wing_at_200_deg_per_s_are_no_resets(thinned: int
     track = open_flight(LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN").attitude
 
     assert not estimator_resets(track.utc_s[::thinned], track.q_body_ned[::thinned]).any()
+
+
+@pytest.mark.parametrize("gaps", [[0], [5], [0, 5], [0, 1], [4, 5], [2, 3], [0, 1, 2, 3, 4, 5]])
+def test_gaps_at_the_ends_have_a_constant_rate(gaps: list[int]) -> None:
+    t = np.array([0.0, 0.1, 0.25, 0.3, 0.45, 0.6, 0.7])
+    q = manoeuvre(t)
+    broken = np.isin(np.arange(6), gaps)
+    curve = RotationSpline.through(t, q, broken=broken)
+    for k in range(6):
+        begin, middle, end = curve.at(t[k]), curve.at((t[k] + t[k + 1]) / 2), curve.at(t[k + 1] - 1e-12)
+        bend_rad = np.linalg.norm(turn_between(begin, middle) - turn_between(middle, end))
+        if broken[k]:
+            assert bend_rad < 1e-9
+        np.testing.assert_allclose(turn_between(end, q[k + 1]), 0, rtol=0, atol=1e-9)
+    inner = ~broken
+    for first in np.flatnonzero(inner):
+        # What lies before a gap does not change what lies behind it.
+        last = first + int(np.argmin(np.append(inner[first:], False)))
+        if first == 0 or broken[first - 1]:
+            alone = RotationSpline.through(t[first : last + 1], q[first : last + 1])
+            at = np.linspace(t[first], t[last] - 1e-9, 9)
+            np.testing.assert_allclose(turn_between(alone.at(at), curve.at(at)), 0, rtol=0, atol=1e-9)

@@ -5,7 +5,14 @@ import pytest
 
 from glstar.errors import ConfigError
 from glstar.flight import AttitudeTrack
-from glstar.flight.navigator import AttitudeErrorModel, EstimatedAttitude, MountError, gauss_markov, perlin_noise
+from glstar.flight.navigator import (
+    _LARGEST_TANGENT,
+    AttitudeErrorModel,
+    EstimatedAttitude,
+    MountError,
+    gauss_markov,
+    perlin_noise,
+)
 from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, turn_between
 
 DEG = np.pi / 180
@@ -147,3 +154,24 @@ def test_an_estimate_has_gaps_where_its_samples_have_them() -> None:
     assert message.is_known(-0.05, 0.5)
     assert not message.is_known(-0.2, 0.5)
     assert not message.is_known(19.5, 20.3)
+
+
+@pytest.mark.parametrize(
+    ("roll_deg", "pitch_deg", "tangent"),
+    [
+        (-20.0, 0.0, -0.363970),
+        (60.0, 0.0, 1.732051),
+        (-89.999, 0.0, -_LARGEST_TANGENT),
+        (89.999, 0.0, _LARGEST_TANGENT),
+        (91.0, 0.0, 0.0),
+        (20.0, 44.0, 0.363970),
+        (20.0, 46.0, 0.0),
+        (20.0, -46.0, 0.0),
+    ],
+)
+def test_the_tilt_of_a_turn_has_the_sign_of_the_bank_and_a_limit(
+    roll_deg: float, pitch_deg: float, tangent: float
+) -> None:
+    errors = AttitudeErrorModel(turn_coupling=0.01).drawn(0.0, 10.0, np.random.default_rng(0))
+    q = quaternion_from_euler([roll_deg * DEG], [pitch_deg * DEG], [1.0])
+    assert errors.at(np.array([5.0]), q)[0, 0] == pytest.approx(-0.01 * tangent, rel=1e-4, abs=1e-12)

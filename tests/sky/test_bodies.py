@@ -243,3 +243,15 @@ def test_glstar_sky_lists_the_bodies() -> None:
     table = CliRunner().invoke(app, where).stdout
     assert "Neptune" in table
     assert "DE421" in table
+
+
+def test_the_sun_lights_bodies_from_its_side() -> None:
+    for body in observed_bodies(sky(), parse_utc("2026-06-20T12:07:27Z"), Site(0.5, 1.0)):
+        if body.name == "Sun":
+            assert not body.sun_direction_eq.any()
+            continue
+        assert np.linalg.norm(body.sun_direction_eq) == pytest.approx(1.0, rel=1e-9)
+        # The phase angle lies at the body between Sun and observer; aberration is 20 arcsec.
+        angle_rad = np.arccos(-body.sun_direction_eq @ body.direction_eq)
+        assert angle_rad == pytest.approx(body.phase_angle_rad, rel=0, abs=25 * ARCSEC_RAD)
+        assert body.illuminated_fraction == pytest.approx((1 + np.cos(angle_rad)) / 2, rel=0, abs=1e-4)

@@ -846,3 +846,26 @@ def test_importing_the_catalogue_imports_nothing_heavy():
     code = f"import sys, glstar.sky.catalogue.bright; print([m for m in {heavy} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+def test_all_letters_of_the_greek_alphabet_are_known():
+    before = ["Alp", "Bet", "Gam", "Del", "Eps", "Zet", "Eta", "The", "Iot", "Kap", "Lam", "Mu"]
+    letters = [*before, "Nu", "Xi", "Omi", "Pi", "Rho", "Sig", "Tau", "Ups", "Phi", "Chi", "Psi", "Ome"]
+    greek = [designation(f"{letter:<3} Ori")[:-4] for letter in letters]
+    assert greek == [chr(code) for code in range(0x3B1, 0x3CA) if code != 0x3C2]
+    assert [designation(f"Pi {k}Ori") for k in (1, 9)] == ["π¹ Ori", "π⁹ Ori"]
+
+
+@pytest.mark.parametrize(("hp_mag", "bv"), [(5.0, -0.24), (7.0, 0.5), (8.0, 1.3), (9.0, 1.99)])
+def test_v_is_that_of_harmanec(hp_mag, bv):
+    # Harmanec 1998: V - Hp = 0.0072 - 0.2964 c + 0.1110 c^2 + 0.0157 c^3, from c = -0.25 to 2.0.
+    expected = hp_mag + np.polyval([0.0157, 0.1110, -0.2964, 0.0072], bv)
+    assert float(vmag_from_hp(hp_mag, bv)) == pytest.approx(expected, rel=0, abs=1e-12)
+
+
+def test_colours_beyond_the_relation_of_harmanec_are_those_of_its_ends():
+    below, blue, above = (float(vmag_from_hp(0.0, bv)) for bv in (-0.6, -0.25, -0.249))
+    assert below == blue < 0.0889
+    assert above != blue
+    beyond, red, inside = (float(vmag_from_hp(0.0, bv)) for bv in (5.0, 2.0, 1.999))
+    assert beyond == red != inside

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
 from glstar.sky.air.clouds import CloudLights, CloudSheet, SheetCrossing, cloud_from_above, cloud_from_below
 
@@ -61,3 +62,41 @@ def test_no_cloud_has_the_light_of_the_sky_and_thick_cloud_that_of_the_layer() -
     flux = 2 * np.pi * np.mean(moon * up) * (648000 / np.pi) ** 2 / (1e5 * 0.5)
     reflected = cloud_from_above(crossing, 0.0, CloudLights(1e5, 0.5, 0.0)).mean() * np.pi * 4.2545e10 / (1e5 * 0.5)
     assert flux + reflected + np.exp(-depth / 0.5) == pytest.approx(1.0, rel=0, abs=0.1)
+
+
+@pytest.mark.parametrize("depth", [1e-4, 0.3, 2.0, 8.0])
+@pytest.mark.parametrize("sine_moon", [0.2, 0.9])
+def test_light_of_the_moon_is_scattered_once_or_often(depth: float, sine_moon: float) -> None:
+    slant, cosine, flux = 1.5, np.array([0.95, 0.5, -0.3]), 1e5
+    crossing = SheetCrossing(np.full(3, depth), np.full(3, slant))
+    dark = np.zeros(3)
+    found = cloud_from_below(crossing, cosine, dark, dark, CloudLights(flux, sine_moon, 0.0))
+    # Photons meet a number of drops of Poisson's law along the Moon's light: those which met one are spread by Henyey
+    # and Greenstein's law of asymmetry 0.85, those which met several equally over the hemisphere.
+    along_moon, along_sight = (poisson(depth * factor) for factor in (1 / sine_moon, slant))
+    once = along_moon.pmf(1) / along_moon.sf(0)
+    forward = (1 - 0.85**2) / (4 * np.pi * (1 + 0.85**2 - 1.7 * cosine) ** 1.5)
+    arriving = 1 / (1 + 0.1125 * depth / sine_moon) - along_moon.pmf(0)
+    spread = once * forward + (1 - once) * sine_moon / np.pi
+    expected = flux * arriving * along_sight.sf(0) / along_moon.sf(0) * spread / (3600 * 180 / np.pi) ** 2
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_cloud_dims_the_sky_behind_and_brightens_the_town_below() -> None:
+    crossing, one = SheetCrossing(np.array([2.0]), np.array([1.5])), np.ones(1)
+    moonless = CloudLights(0.0, 0.5, 0.0)
+    np.testing.assert_allclose(cloud_from_below(crossing, 0 * one, one, 0 * one, moonless), np.exp(-3.0), rtol=1e-12)
+    # What is not direct of the diffuse 1 / (1 + 0.1125 t) comes from the mean of the sky.
+    lit = cloud_from_below(crossing, 0 * one, 0 * one, 0 * one, CloudLights(0.0, 0.5, 1.0))
+    np.testing.assert_allclose(lit, 1 / 1.3375 - np.exp(-3.0), rtol=1e-12)
+    town = cloud_from_below(crossing, 0 * one, 0 * one, one, moonless)
+    reflected = 1 - 1 / 1.225
+    thick = cloud_from_below(SheetCrossing(np.array([1e9]), np.array([1.5])), 0 * one, 0 * one, one, moonless)
+    np.testing.assert_allclose((town - 1) / (thick - 1), reflected, rtol=1e-6)
+    # From above: the ground through the layer, the sky and the Moon reflected by it.
+    above = [
+        cloud_from_above(crossing, ground, CloudLights(0.0, 0.5, sky))[0] for ground, sky in ((1.0, 0.0), (0.0, 1.0))
+    ]
+    np.testing.assert_allclose(above, [1 / 1.225, 1 - 1 / 1.3375], rtol=1e-12)
+    by_moon = cloud_from_above(crossing, 0.0, CloudLights(1e5, 0.5, 0.0))
+    np.testing.assert_allclose(by_moon, 1e5 * 0.5 / np.pi * (1 - 1 / 1.45) / (648000 / np.pi) ** 2, rtol=1e-9)

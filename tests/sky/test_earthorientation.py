@@ -161,3 +161,9 @@ def test_a_saved_config_has_no_dut1_from_the_table(tmp_path: Path) -> None:
     given = Config().override(**{"sky.dut1_s": 0.25})
     (tmp_path / "saved.toml").write_text(given.to_toml(), encoding="utf-8")
     assert Config.load(tmp_path / "saved.toml").sky.dut1_s == 0.25
+
+
+@installed
+def test_for_times_inside_the_table_the_manifest_has_no_range() -> None:
+    described = described_earth_orientation(parse_utc("2024-03-10"))["earth_orientation"]
+    assert "covers" not in described

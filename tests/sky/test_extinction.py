@@ -133,3 +133,29 @@ def test_the_config_chooses_height_or_pressure() -> None:
     assert extinction() is None
     assert extinction(sky__extinction="pressure", air__pressure_hpa=700.0) == Extinction(pressure_hpa=700.0)
     assert extinction(sky__extinction="standard", air__aerosol_mag=0.3) == Extinction(aerosol_mag=0.3)
+
+
+@pytest.mark.parametrize("wavelength_nm", [420.0, 470.0, 584.0, 620.0, 700.0])
+def test_scattering_by_the_air_falls_as_nicolet_says(wavelength_nm: float) -> None:
+    # Nicolet 1984 (Planet. Space Sci. 32, 1467): wavelength^-(4 + x), x = 0.389 w + 0.09426 / w - 0.3228, w in um;
+    # to 0.550 um, and x = 0.04 beyond.
+    def cross_section(um: float) -> float:
+        return um ** -(4 + (0.389 * um + 0.09426 / um - 0.3228 if um < 0.55 else 0.04))
+
+    found = Extinction().at_wavelength(wavelength_nm).rayleigh_mag / 0.1451
+    expected = cross_section(wavelength_nm / 1000) / cross_section(0.51)
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_the_parts_fall_with_height_by_their_own_scales() -> None:
+    air = Extinction(rayleigh_mag=0.2, aerosol_mag=0.3, aerosol_scale_m=2000.0, ozone_mag=0.05)
+    assert air.rayleigh_at_mag(7996.0) == pytest.approx(0.2 / np.e, rel=1e-12)
+    assert air.aerosol_at_mag(4000.0) == pytest.approx(0.3 / np.e**2, rel=1e-12)
+    assert air.zenith_mag(1e6) == pytest.approx(0.05, rel=1e-9)
+    # Serdyuchenko et al. 2014 for the Chappuis band: 1.60 at 510 nm, 5.12 at 600 nm.
+    assert air.at_wavelength(600.0).ozone_mag == pytest.approx(0.05 * 5.12 / 1.60, rel=1e-12)
+
+
+def test_the_air_mass_is_forty_at_the_horizon_and_below() -> None:
+    assert air_mass([0.0, -0.3]) == pytest.approx([40.0, 40.0], rel=1e-12)
+    assert air_mass([1.0, 0.5]) == pytest.approx([1.0, 2.0], rel=1e-3)

@@ -21,6 +21,7 @@ from glstar.sky.air.skybrightness import (
     SkyLights,
     SkyState,
     SkyView,
+    light_name,
     moonlight_nl,
     nanolamberts_to_mag,
     sky_radiance,
@@ -262,3 +263,116 @@ def test_space_light_replaces_its_share_of_the_dark_sky() -> None:
     dark, zodiacal, both = mag(), mag(zodiacal_light=True), mag(zodiacal_light=True, galaxy=True)
     assert 21.0 < both < zodiacal < dark + 0.1
     assert abs(zodiacal - dark) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("zenith_distance_deg", "mag"),
+    # The line of slope 1.518 mag a degree through 11.84 at 95 deg, to the Sun at the horizon, and 21.6 from 105.85 deg.
+    [(94, 10.322), (91, 5.768), (90, 4.25), (89, 4.25), (30, 4.25), (105.8, 21.586), (105.9, 21.6), (130, 21.6)],
+)
+def test_twilight_before_and_after_patats_fit(zenith_distance_deg: float, mag: float) -> None:
+    assert twilight_mag(np.deg2rad(90 - zenith_distance_deg)) == pytest.approx(mag, rel=0, abs=3e-3)
+
+
+@pytest.mark.parametrize(("separation_deg", "phase_deg"), [(5.0, 0.0), (30.0, 90.0), (60.0, -90.0), (120.0, 30.0)])
+def test_moonlight_is_that_of_krisciunas_and_schaefer(separation_deg: float, phase_deg: float) -> None:
+    illuminance = 10 ** (-0.4 * (12.73 - 16.57 + 7.68 + 0.026 * abs(phase_deg) + 4e-9 * phase_deg**4))
+    mie = 6.2e7 / separation_deg**2 if separation_deg < 8 else 10 ** (6.15 - separation_deg / 40)
+    rayleigh = 229086.765 * (1.06 + np.cos(np.deg2rad(separation_deg)) ** 2)
+    air = 10 ** (-0.4 * 0.2 * mass(50)) * (1 - 10 ** (-0.4 * 0.2 * mass(40)))
+    found = [
+        moonlight_nl(np.deg2rad(separation_deg), mass(50), mass(40), np.deg2rad(phase_deg), 0.2, **keys)
+        for keys in ({}, {"rayleigh": 0.5, "aerosol": 2.0})
+    ]
+    expected = [(rayleigh + mie) * illuminance * air, (rayleigh / 2 + 2 * mie) * illuminance * air]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_the_moons_aureole_ends_a_quarter_of_a_degree_from_it() -> None:
+    at = [float(moonlight_nl(np.deg2rad(deg), 1.0, 1.0, 0.0, 0.2)) for deg in (0.0, 0.2499, 0.26)]
+    assert at[0] == at[1]
+    assert at[1] / at[2] == pytest.approx(0.26**2 / 0.25**2, rel=0.002)
+
+
+def towards(
+    altitude_deg: float, *, azimuth_deg: float = 0.0, sun_separation_deg: float = 90.0, sun_deg: float = -40.0,
+    moon_deg: float = -40.0, height_m: float = 0.0, air: Extinction | None = None, **lights: object,
+) -> float:  # fmt: skip
+    """Return the brightness of the sky in a direction over that of the dark zenith."""
+    air = Extinction() if air is None else air
+    state = SkyState(air, height_m, np.deg2rad(sun_deg), np.deg2rad(moon_deg), moon_phase_angle_rad=0.0)
+    view = SkyView(*(np.deg2rad([v]) for v in (altitude_deg, azimuth_deg, 60.0, sun_separation_deg)))
+    view = replace(view, sine_altitude=np.sin(view.sine_altitude))
+    return float(sky_radiance(view, SkyLights(**lights), state)[0] * 10 ** (0.4 * 21.6))
+
+
+def test_the_dark_sky_brightens_towards_the_horizon_as_benn_and_ellison_say() -> None:
+    for altitude_deg in (60.0, 20.0, 3.0):
+        x = mass(90 - altitude_deg)
+        expected = (0.4 + 0.6 * x) * 10 ** (-0.4 * 0.2811 * (x - 1))
+        assert towards(altitude_deg) == pytest.approx(expected, rel=1e-9)
+    assert towards(-5.0) == towards(0.0)
+
+
+def test_a_town_glows_ninefold_at_its_horizon_and_not_opposite() -> None:
+    town = {"town_mag_arcsec2": 21.6, "town_azimuth_rad": np.deg2rad(70.0)}
+    # 1 + 8 ((1 + cos a) / 2)^2 (1 - sin h)^3 for the azimuth a from the town and the altitude h.
+    for altitude_deg, azimuth_deg, glow in ((0.0, 70.0, 9.0), (0.0, 160.0, 3.0), (0.0, 250.0, 1.0), (30.0, 70.0, 2.0)):
+        lit = towards(altitude_deg, azimuth_deg=azimuth_deg, **town) - towards(altitude_deg)
+        assert lit == pytest.approx(glow, rel=1e-9)
+    around = towards(0.0, town_mag_arcsec2=21.6) - towards(0.0)
+    assert around == pytest.approx(5.0, rel=1e-9)
+    assert towards(45.0, town_mag_arcsec2=30.0) == towards(45.0)
+    assert towards(45.0, town_mag_arcsec2=29.9) > towards(45.0)
+    # At 3000 m the air above scatters less.
+    scattered = [1 - 10 ** (-0.4 * Extinction().zenith_mag(h)) for h in (0.0, 3000.0)]
+    high = towards(90.0, height_m=3000.0, **town) - towards(90.0, height_m=3000.0)
+    assert high == pytest.approx(scattered[1] / scattered[0], rel=1e-9)
+
+
+def test_twilight_is_brighter_towards_the_sun_and_the_horizon() -> None:
+    def lit(altitude_deg: float, separation_deg: float, **keys: object) -> float:
+        both = (towards(altitude_deg, sun_separation_deg=separation_deg, **keys, twilight=on) for on in (True, False))
+        return next(both) - next(both)
+
+    sun = {"sun_deg": -8.0}
+    # As the inverse of the distance from the Sun, down to 5 deg.
+    assert lit(30.0, 40.0, **sun) / lit(30.0, 80.0, **sun) == pytest.approx(2.0, rel=1e-9)
+    assert lit(30.0, 2.0, **sun) == lit(30.0, 4.99, **sun)
+    assert lit(30.0, 5.01, **sun) < lit(30.0, 4.99, **sun)
+    # Schaefer 1993: 10^(0.4 z / (360 k)) at the zenith distance z, times the light scattered along the air mass.
+    k = 0.2811
+    scattered = (1 - 10 ** (-0.4 * k * mass(60))) / (1 - 10 ** (-0.4 * k))
+    gradient = lit(30.0, 60.0, **sun) / lit(90.0, 60.0, **sun)
+    assert gradient == pytest.approx(10 ** (0.4 * 60 / (360 * k)) * scattered, rel=1e-9)
+    # The extinction in the gradient is at least 0.2 mag.
+    clear = [Extinction(0.1, aerosol, ozone_mag=0.0) for aerosol in (0.0, 0.05)]
+    slopes = []
+    for air in clear:
+        k = air.zenith_mag(0.0)
+        scattered = (1 - 10 ** (-0.4 * k * mass(60))) / (1 - 10 ** (-0.4 * k))
+        slopes.append(lit(30.0, 60.0, **sun, air=air) / lit(90.0, 60.0, **sun, air=air) / scattered)
+    np.testing.assert_allclose(slopes, 10 ** (0.4 * 60 / (360 * 0.2)), rtol=1e-9)
+
+
+def test_moonlight_fades_by_1_3_mag_a_degree_below_the_horizon() -> None:
+    def lit(moon_deg: float) -> float:
+        return towards(50.0, moon_deg=moon_deg) - towards(50.0, moon_deg=moon_deg, moonlight=False)
+
+    ratios = [lit(0.0) / lit(-1.0), lit(-1.0) / lit(-2.5)]
+    np.testing.assert_allclose(ratios, 10 ** (0.4 * 1.3 * np.array([1, 1.5])), rtol=1e-6)
+    assert lit(10.0) > lit(0.0)
+
+
+@pytest.mark.parametrize(
+    ("sun_deg", "before", "after"),
+    # Sunset is at -0.833 deg: 16 arcmin of the Sun's radius and 34 arcmin of refraction.
+    [
+        (-0.833, "day", "civil twilight"),
+        (-6.0, "civil twilight", "nautical twilight"),
+        (-12.0, "nautical twilight", "astronomical twilight"),
+        (-18.0, "astronomical twilight", "night"),
+    ],
+)
+def test_twilights_end_at_six_twelve_and_eighteen_degrees(sun_deg: float, before: str, after: str) -> None:
+    assert [light_name(np.deg2rad(sun_deg + change)) for change in (1e-3, -1e-3)] == [before, after]

@@ -66,3 +66,19 @@ def test_light_has_the_shape_of_its_directions():
     np.testing.assert_allclose(found[2], each, rtol=1e-12)
     none = beyond_the_air_s10(directions, np.array([0.0, 0.0, 1.0]), zodiacal=False, galaxy=False, drawn_mag=6.5)
     np.testing.assert_array_equal(none, np.zeros((4, 5)))
+
+
+def test_the_zodiacal_light_has_the_sums_of_the_published_table():
+    longitude_deg = np.array([15, 20, 25, 30, 35, 40, 45, 60, 75, 90, 105, 120, 135, 150, 165, 180])
+    latitude_deg = np.array([0, 5, 10, 15, 20, 25, 30, 45, 60, 75, 90])
+    at = zodiacal_s10(np.deg2rad(longitude_deg)[:, np.newaxis], np.deg2rad(latitude_deg))
+    # The sums of the rows and of the columns of the published table (Leinert et al. 1998, table 16).
+    np.testing.assert_allclose(
+        at.sum(axis=1),
+        [20758, 13472, 9166, 6543, 4862, 3795, 3112, 2052, 1592, 1343, 1190, 1092, 1057, 1074, 1163, 1248],
+        rtol=0,
+        atol=0.4,
+    )
+    np.testing.assert_allclose(
+        at.sum(axis=0), [23652, 16457, 10069, 6668, 4803, 3711, 2964, 1868, 1311, 1056, 960], rtol=0, atol=0.4
+    )

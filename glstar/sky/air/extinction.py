@@ -87,10 +87,10 @@ class Extinction:
 
 
 def _rayleigh_optical_depth(wavelength_nm: float) -> float:
-    """Return the optical depth of the air above the sea: Bodhaine et al. 1999, eq. (30)."""
+    """Return the optical depth of the air above the sea, up to a factor: Bodhaine et al. 1999, eq. (30)."""
     squared = (wavelength_nm / 1000) ** 2
     numerator = 1.0455996 - 341.29061 / squared - 0.90230850 * squared
-    return 0.0021520 * numerator / (1 + 0.0027059889 / squared - 85.968563 * squared)
+    return numerator / (1 + 0.0027059889 / squared - 85.968563 * squared)
 
 
 def air_mass(sine_apparent_altitude: ArrayLike) -> Float:

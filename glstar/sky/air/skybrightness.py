@@ -158,13 +158,13 @@ def moonlight_nl(
     `aerosol`: scattering by the air and by aerosol over that at sea level, each relative to the whole extinction.
 
     Krisciunas & Schaefer 1991 (PASP 103, 1033), eqs (3), (15), (20), (21).  Departs from eq. (21), which jumps by 14 %
-    at 10 deg: the larger of the two laws of aerosol is used, which cross at 8.4 deg.
+    at 10 deg: nearer than this the larger of the two laws of aerosol is used, which cross at 8.4 deg.
     """
     degrees = np.maximum(np.rad2deg(np.asarray(separation_rad, dtype=np.float64)), _CLOSEST_MOON_DEG)
     phase_deg = abs(np.rad2deg(phase_angle_rad))
     illuminance = 10 ** (-0.4 * (3.84 + 0.026 * phase_deg + 4e-9 * phase_deg**4))
     by_air = 10**5.36 * (1.06 + np.cos(np.deg2rad(degrees)) ** 2)
-    by_aerosol = np.maximum(10 ** (6.15 - degrees / 40), 6.2e7 / degrees**2)
+    by_aerosol = np.maximum(10 ** (6.15 - degrees / 40), np.where(degrees < 10, 6.2e7 / degrees**2, 0.0))
     moon_mag, sky_mag = (zenith_mag * np.asarray(mass, dtype=np.float64) for mass in (moon_mass, sky_mass))
     scattered = brightness_ratio(moon_mag) * (1 - brightness_ratio(sky_mag))
     return np.asarray((rayleigh * by_air + aerosol * by_aerosol) * illuminance * scattered)

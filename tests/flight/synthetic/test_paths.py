@@ -11,6 +11,7 @@ from glstar.flight.synthetic.paths import (
     FlownPath,
     LocalMap,
     Wind,
+    ground_orbit_period_s,
     held_orbit,
     orbit_over_ground,
     stationary,
@@ -149,3 +150,21 @@ def test_waypoints_are_passed_near_with_limited_bank_and_roll_rate() -> None:
 def test_impossible_waypoints_are_refused(corners: list, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         through_waypoints(0.01, corners, airspeed_m_per_s=18, wind=CALM)
+
+
+@pytest.mark.parametrize(("clockwise", "bearing_rad"), [(True, 0.3), (False, 2.0)])
+def test_an_orbit_in_wind_has_its_radius_its_airspeed_and_its_period(clockwise: bool, bearing_rad: float) -> None:
+    wind = Wind.from_direction(9.0, 1.1)
+    period_s = ground_orbit_period_s(radius_m=200.0, airspeed_m_per_s=20.0, wind=wind)
+    t_s = np.linspace(0, 2 * period_s, 20001)
+    path = orbit_over_ground(
+        t_s, radius_m=200.0, airspeed_m_per_s=20.0, wind=wind, clockwise=clockwise, bearing_rad=bearing_rad
+    )
+    np.testing.assert_allclose(np.hypot(path.north_m, path.east_m), 200.0, rtol=1e-12)
+    north, east = velocity_m_per_s(path)
+    # Wind from 1.1 rad carries towards the opposite direction.
+    airspeed = np.hypot(north + 9 * np.cos(1.1), east + 9 * np.sin(1.1))
+    np.testing.assert_allclose(airspeed, 20.0, rtol=0, atol=2e-3)
+    for at in (10_000, 20_000):
+        np.testing.assert_allclose(path.north_m[at], 200 * np.cos(bearing_rad), rtol=0, atol=1e-6)
+        np.testing.assert_allclose(path.east_m[at], 200 * np.sin(bearing_rad), rtol=0, atol=1e-6)
