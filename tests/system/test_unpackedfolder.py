@@ -38,6 +38,8 @@ def test_folders_with_a_free_lock_are_removed_and_others_stay(parent: Path) -> N
         (folder / "lock").write_text("1")
     (parent / "glstar-unpacked-file").write_text("")
     (parent / "glstar-unpacked-link").symlink_to(foreign)
+    assert list(_abandoned(parent)) == [killed]
+    (killed / "lock").write_text("1")
     with UnpackedFolder():
         assert not killed.exists()
         assert foreign.is_dir()
@@ -61,6 +63,7 @@ def test_folders_of_another_user_stay(parent: Path, monkeypatch: pytest.MonkeyPa
     (folder / "lock").write_text("1")
     user = os.getuid()
     assert list(_abandoned(parent)) == [folder]
+    (folder / "lock").write_text("1")  # free again
     monkeypatch.setattr(files.os, "getuid", lambda: user + 1)
     assert list(_abandoned(parent)) == []
 
