@@ -14,6 +14,7 @@ from scipy.stats import norm
 from glstar.config import Config, ExposureSection
 from glstar.errors import ConfigError
 from glstar.flight import EventKind
+from glstar.viewer import loop
 from glstar.viewer.flight.others import _notice
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.flight.traces import TimeAxis
@@ -29,6 +30,8 @@ from glstar.viewer.ui import search as searching
 from glstar.viewer.ui.panels import timeline
 from glstar.viewer.ui.panels.object import _bilinear, _straight_trail
 from glstar.viewer.ui.panels.timeline import TimelineEvents
+from glstar.viewer.ui.theme import resized_text
+from glstar.viewer.window import text_scale
 
 
 class Clock:
@@ -141,7 +144,7 @@ def test_the_frames_of_a_video_are_evenly_spaced_and_include_both_ends() -> None
     video = VideoRange(1000.0, 1010.0, speed=2.0, frames_per_s=25.0)
     # Five seconds of video.
     assert video.count == 126
-    assert [video.utc_s(number) for number in (0, 1, 125)] == pytest.approx([1000.0, 1000.08, 1010.0])
+    assert [video.utc_s(number) for number in (0, 1, 125)] == pytest.approx([1000.0, 1000.08, 1010.0], rel=0, abs=1e-9)
     assert VideoRange(0.0, 0.01).count == 1
 
 
@@ -449,3 +452,34 @@ def test_day_and_twilight_of_a_live_flight_are_computed_ten_minutes_ahead(monkey
         for last_s in (100.0, 101.0, 700.0, 701.0):
             assert list(timeline.Timeline._light_until(panel, last_s)) == ["day"]
         assert asked == [(50.0, last_s) for last_s in expected]
+
+
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_frame_waits_for_a_sixtieth_of_a_second_and_live_for_the_next_attitude(
+    is_live: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept, waited = [], []
+    monkeypatch.setattr(loop.time, "perf_counter", lambda: 50.0)
+    monkeypatch.setattr(loop.time, "sleep", slept.append)
+    link = SimpleNamespace(
+        latest=lambda: SimpleNamespace(utc_s=1000.0), wait_for=lambda utc_s, most_s: waited.append((utc_s, most_s))
+    )
+    session = SimpleNamespace(head=SimpleNamespace(live=is_live), live=SimpleNamespace(link=link))
+    for began_s in (49.99, 49.98):
+        loop.Viewer.pace(SimpleNamespace(session=session), began_s)
+    # 16.7 ms after the frame began, of which 10 ms have passed; after 20 ms it is late.
+    assert slept == [pytest.approx(1 / 60 - 0.01, abs=1e-9)]
+    # Just after the latest attitude, for 33 ms at most.
+    after = [(pytest.approx(1000.000001, rel=0, abs=1e-7), pytest.approx(1 / 30))] * 2
+    assert waited == (after if is_live else [])
+    loop.Viewer.pace(SimpleNamespace(session=SimpleNamespace(head=None, live=session.live)), 49.98)
+    loop.Viewer.pace(SimpleNamespace(session=SimpleNamespace(head=session.head, live=None)), 49.98)
+    assert len(waited) == (2 if is_live else 0)
+
+
+def test_the_text_of_a_window_grows_in_tenths_and_with_the_units_of_the_screen() -> None:
+    assert [resized_text(scale, steps) for scale, steps in ((1.0, 1), (1.0, -1), (0.7, -1), (2.5, 1), (1.26, 0))] == [
+        *(1.1, 0.9, 0.7, 2.5, 1.3)
+    ]
+    # Two pixels a unit at a content scale of 2, as on macOS, and one pixel a unit, as on Windows.
+    assert [text_scale(2.0, 1800, 900), text_scale(2.0, 900, 900), text_scale(1.5, 0, 900)] == [1.0, 2.0, 1.5]
