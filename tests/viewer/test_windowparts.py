@@ -20,6 +20,7 @@ from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.flight.traces import TimeAxis
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState
+from glstar.viewer.session import state
 from glstar.viewer.session.actions import _HEAD
 from glstar.viewer.session.keys import Action
 from glstar.viewer.session.memory import Notifications, Place, SettingsHistory, _degrees, _is_size
@@ -483,3 +484,37 @@ def test_the_text_of_a_window_grows_in_tenths_and_with_the_units_of_the_screen()
     ]
     # Two pixels a unit at a content scale of 2, as on macOS, and one pixel a unit, as on Windows.
     assert [text_scale(2.0, 1800, 900), text_scale(2.0, 900, 900), text_scale(1.5, 0, 900)] == [1.0, 2.0, 1.5]
+
+
+@pytest.mark.parametrize("has_latest", [True, False])
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize(("playing", "live"), [(True, True), (True, False), (False, False)])
+def test_a_live_image_that_is_drawn_is_timed_and_a_flight_that_plays_may_show_the_last_one(
+    playing: bool, live: bool, drawn: bool, has_latest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timed, asked, advanced = [], [], []
+    monkeypatch.setattr(state, "_exposure_to_show", lambda *_: (object(), 3))
+    monkeypatch.setattr(state, "_follow_image", lambda _: None)
+    monkeypatch.setattr(state, "Shot", lambda *_, **__: SimpleNamespace(exposure=None, simulator=None))
+    head = SimpleNamespace(playing=playing, live=live, advance=advanced.append)
+    session = SimpleNamespace(
+        _poll=lambda: None,
+        _poll_link=lambda _: None,
+        _measure=lambda: None,
+        _exposed=lambda shot: shot,
+        _shows_link=False,
+        _latest="attitude" if has_latest else None,
+        live=SimpleNamespace(drew=lambda *what: timed.append(what)),
+        loaded=SimpleNamespace(head=head, simulator=None),
+        is_looking=False,
+        comparison=SimpleNamespace(is_noiseless=False),
+        config=Config(),
+        scene="scene",
+        image=SimpleNamespace(update=lambda _, playing: (asked.append(playing), drawn)[1]),
+    )
+    state.Session.update(session, 0.25)
+    assert advanced == [0.25]
+    # The image of the exposure before may be shown while a log plays, not while a link is live.
+    assert asked == [playing and not live]
+    is_timed = drawn and live and has_latest
+    assert timed == ([("attitude", "scene", Config().exposure.duration_s)] if is_timed else [])
