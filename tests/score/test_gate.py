@@ -12,7 +12,7 @@ from glstar.cli import app
 from glstar.errors import ConfigError
 from glstar.render.truth.frame import KEYS
 from glstar.rotation import about_x, about_y, about_z, quaternion_from_matrix
-from glstar.score.gate import EXAMPLE, gate_note, judged, read_gate
+from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
 from glstar.score.metrics import METRICS
 from glstar.score.scoring import Score, score
 from glstar.system.resources import manual_pages
@@ -241,6 +241,9 @@ def test_limits_of_errors_without_one_of_solved_frames_are_noted(tmp_path: Path)
 
     assert "limit solved_fraction" in (gate_note(read_gate(gate(tmp_path, error))) or "")
     assert gate_note(read_gate(gate(tmp_path, error, solved))) is None
+    note = gate_note(read_gate(gate(tmp_path, 'metric = "recall"\nat_least = 1', error))) or ""
+    assert "boresight_arcsec is that of solved frames" in note
+    assert "recall" not in note
     assert gate_note(read_gate(gate(tmp_path, 'metric = "recall"\nat_least = 1'))) is None
 
 
@@ -271,3 +274,30 @@ def test_the_example_is_printed_without_a_set_read_and_in_the_manual(tmp_path: P
     assert (printed.exit_code, printed.stdout) == (0, EXAMPLE)
     assert len(read_gate(tmp_path / "gate.toml")) == 4
     assert f"```toml\n{EXAMPLE}```" in manual_pages()["score"].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("value", "is_upper", "passed", "text"),
+    [
+        (2.0, True, True, "holds   recall: 2, at most 2 (3 of 4 frames)"),
+        (2.5, True, False, "FAILED  recall: 2.5, at most 2, 0.5 too much (3 of 4 frames)"),
+        (1.5, True, True, "holds   recall: 1.5, at most 2 (3 of 4 frames)"),
+        (2.0, False, True, "holds   recall: 2, at least 2 (3 of 4 frames)"),
+        (1.5, False, False, "FAILED  recall: 1.5, at least 2, 0.5 too little (3 of 4 frames)"),
+        (2.5, False, True, "holds   recall: 2.5, at least 2 (3 of 4 frames)"),
+    ],
+)
+def test_a_verdict_says_by_how_much_a_limit_fails(value: float, is_upper: bool, passed: bool, text: str) -> None:
+    verdict = Verdict(GateLimit("recall", None, None, None, 2.0, is_upper), None, value, 3, 4)
+
+    assert (verdict.passed, verdict.text) == (passed, text)
+    assert verdict.json["excess"] == (0.0 if passed else 0.5)
+    assert verdict.json["at_most" if is_upper else "at_least"] == 2.0
+
+
+def test_a_verdict_without_a_value_fails() -> None:
+    verdict = Verdict(GateLimit("recall", None, None, None, 2.0, True), None, float("nan"), 0, 4, "none has it")
+
+    assert not verdict.passed
+    assert verdict.text == "FAILED  recall: no value, at most 2; none has it"
+    assert (verdict.json["value"], verdict.json["excess"], verdict.json["reason"]) == (None, None, "none has it")

@@ -25,7 +25,7 @@ from glstar.score.frames import (
     score_frame,
 )
 from glstar.score.metrics import BINS, Bin, Spread, as_json, drawn_settings, settings_bins, summarized
-from glstar.score.scoring import _orbit, orbits, orbits_by_setting, runs_of, spread_of_runs
+from glstar.score.scoring import _draw_condition, _orbit, orbits, orbits_by_setting, runs_of, spread_of_runs
 from tests.support.scenes import camera
 
 ARCSEC = pi / 180 / 3600
@@ -376,3 +376,35 @@ def test_a_setting_drawn_from_eight_values_is_no_random_one() -> None:
     assert drawn_settings(frames(9)) == {"a", "b"}
     # A setting of one value is no group.
     assert [name for name, _ in settings_bins(frames(1))] == ["b"]
+
+
+def test_errors_are_drawn_against_a_condition_and_refused_frames_at_the_lower_edge() -> None:
+    """Frames without the condition are left out; the axis is logarithmic, and has no zero."""
+    drawn = {}
+
+    class Axis:
+        def plot(self, x, y, _, *, label, **__):
+            drawn[label] = [*x], [*y]
+
+        def set(self, **keys):
+            assert keys["yscale"] == "log"
+
+        def get_xaxis_transform(self):
+            return None
+
+    def one(cloud: float | None, *score, **changes) -> FrameScore:
+        conditions = {} if cloud is None else {"cloud_transmission": cloud}
+        return scored(*score, truth=frame_truth(conditions=conditions), **changes)
+
+    frames = [
+        *[one(0.9, 10.0), one(0.5, 0.0), one(None, 20.0), one(0.3, 30.0, Outcome.FALSE)],
+        *[one(0.2, outcome=Outcome.REFUSED, attitude=None), one(0.7, attitude=None)],
+    ]
+    (condition,) = (each for each in BINS if each.name == "transmission of cloud")
+    _draw_condition(SimpleNamespace(frames=frames), condition, Axis())
+    (x, y), false = drawn[Outcome.SOLVED], drawn[Outcome.FALSE]
+    assert x == [0.9, 0.5]
+    assert y[0] == pytest.approx(10)
+    assert 0 < y[1] < 1e-6
+    assert false == ([0.3], [pytest.approx(30)])
+    assert drawn["refused"] == ([0.2], [0.02])

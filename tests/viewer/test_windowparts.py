@@ -6,23 +6,33 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from imgui_bundle import ImVec2
 from scipy.integrate import quad
 from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
 from glstar.config import Config, ExposureSection
 from glstar.errors import ConfigError
+from glstar.flight import EventKind
+from glstar.viewer import loop
 from glstar.viewer.flight.others import _notice
 from glstar.viewer.flight.playhead import Mode, PlayHead
+from glstar.viewer.flight.traces import TimeAxis
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState
+from glstar.viewer.session import state
 from glstar.viewer.session.actions import _HEAD
 from glstar.viewer.session.keys import Action
 from glstar.viewer.session.memory import Notifications, Place, SettingsHistory, _degrees, _is_size
 from glstar.viewer.session.recording import ScreenVideo, VideoRange
 from glstar.viewer.session.state import _is_near
-from glstar.viewer.skyobjects import ObjectPlace, Selection
+from glstar.viewer.skyobjects import ObjectKind, ObjectPlace, Selection, SkyObject
+from glstar.viewer.ui import search as searching
+from glstar.viewer.ui.panels import timeline
 from glstar.viewer.ui.panels.object import _bilinear, _straight_trail
+from glstar.viewer.ui.panels.timeline import TimelineEvents
+from glstar.viewer.ui.theme import resized_text
+from glstar.viewer.window import text_scale
 
 
 class Clock:
@@ -135,7 +145,7 @@ def test_the_frames_of_a_video_are_evenly_spaced_and_include_both_ends() -> None
     video = VideoRange(1000.0, 1010.0, speed=2.0, frames_per_s=25.0)
     # Five seconds of video.
     assert video.count == 126
-    assert [video.utc_s(number) for number in (0, 1, 125)] == pytest.approx([1000.0, 1000.08, 1010.0])
+    assert [video.utc_s(number) for number in (0, 1, 125)] == pytest.approx([1000.0, 1000.08, 1010.0], rel=0, abs=1e-9)
     assert VideoRange(0.0, 0.01).count == 1
 
 
@@ -282,3 +292,229 @@ def test_the_frame_rate_is_that_between_the_ends_of_frames() -> None:
         times.end()
         rates.append(times.frames_per_s)
     assert rates == [0.0, 4.0, 4.0]
+
+
+class Events:
+    """Keys of imgui as a test presses them, for windows that search; text is not drawn."""
+
+    def __init__(self) -> None:
+        self.pressed: set[str] = set()
+        self.typed: str | None = None
+        self.listed: list[tuple[str, bool]] = []
+        self.clicked = ""
+        self.notes: list[str] = []
+        self.Key = SimpleNamespace(
+            down_arrow="down", up_arrow="up", enter="enter", keypad_enter="keypad", escape="escape"
+        )
+        self.Cond_ = SimpleNamespace(appearing=1)
+
+    def get_main_viewport(self) -> SimpleNamespace:
+        return SimpleNamespace(pos=SimpleNamespace(x=10.0, y=20.0), size=SimpleNamespace(x=900.0, y=600.0))
+
+    def set_next_window_pos(self, at: ImVec2, _: int, pivot: ImVec2) -> None:
+        self.place = at.x, at.y, pivot.x, pivot.y
+
+    def begin(self, *_: object) -> tuple[bool, bool]:
+        return True, self.clicked != "close"
+
+    def input_text_with_hint(self, _: str, __: str, query: str) -> tuple[bool, str]:
+        return (False, query) if self.typed is None else (True, self.typed)
+
+    def is_key_pressed(self, key: str, _: bool = True) -> bool:
+        return key in self.pressed
+
+    def selectable(self, label: str, is_chosen: bool) -> tuple[bool, bool]:
+        name = label.partition("##")[0]
+        self.listed.append((name, is_chosen))
+        return name == self.clicked, is_chosen
+
+    def text_disabled(self, text: str) -> None:
+        self.notes.append(text)
+
+    def set_next_item_width(self, _: float) -> None:
+        pass
+
+    def set_keyboard_focus_here(self) -> None:
+        pass
+
+    def end(self) -> None:
+        pass
+
+
+@pytest.fixture
+def events(monkeypatch: pytest.MonkeyPatch) -> Events:
+    events = Events()
+    monkeypatch.setattr(searching, "imgui", events)
+    monkeypatch.setattr(searching, "scaled_across", lambda px: px)
+    return events
+
+
+def shown(window: searching.SearchWindow[str], events: Events, *keys: str, typed: str | None = None) -> str | None:
+    """Draw a frame of the window with keys pressed."""
+    events.pressed, events.typed = set(keys), typed
+    events.listed, events.notes = [], []
+    return window.draw(lambda query: [f"{query}{k}" for k in range(3)] if query != "x" else [], str.upper)
+
+
+def test_keys_choose_a_match_and_take_it(events: Events) -> None:
+    window = searching.SearchWindow[str]("Find", "a name", "nothing")
+    assert shown(window, events, "enter") is None
+    assert events.listed == []
+    window.open(["p", "q"])
+    assert shown(window, events) is None
+    assert events.listed == [("P", True), ("Q", False)]
+    # In the middle of the window, 60 px from its top.
+    assert events.place == (10 + 450, 20 + 60, 0.5, 0.0)
+    shown(window, events, typed="a")
+    assert events.listed == [("A0", True), ("A1", False), ("A2", False)]
+    for key, chosen in (("down", "A1"), ("down", "A2"), ("down", "A0"), ("up", "A2"), ("up", "A1")):
+        shown(window, events, key)
+        assert [name for name, is_chosen in events.listed if is_chosen] == [chosen]
+    # Another query begins at its best match again.
+    shown(window, events, typed="b")
+    assert events.listed[0] == ("B0", True)
+    shown(window, events, "down")
+    assert shown(window, events, "enter") == "b1"
+    # It has closed; when it is opened again it is empty.
+    assert shown(window, events, "enter") is None
+    window.open()
+    assert shown(window, events, "enter") is None
+    assert (events.listed, events.notes) == ([], [])
+    shown(window, events, typed="x")
+    assert events.notes == ["nothing"]
+    shown(window, events, typed="c")
+    assert shown(window, events, "keypad") == "c0"
+
+
+@pytest.mark.parametrize("how", ["escape", "close"])
+def test_a_search_is_closed_without_a_result(events: Events, how: str) -> None:
+    window = searching.SearchWindow[str]("Find", "a name", "nothing")
+    window.open(["p"])
+    events.clicked = how if how == "close" else ""
+    assert shown(window, events, *([] if how == "close" else ["escape"])) is None
+    events.clicked = ""
+    assert shown(window, events, "enter") is None
+    window.open(["p", "q"])
+    events.clicked = "Q"
+    assert shown(window, events) == "q"
+
+
+def test_lines_of_the_search_have_magnitudes_of_stars_and_kinds_of_others() -> None:
+    star = SkyObject(ObjectKind.STAR, "Sirius", star_id=2491, vmag=-1.456)
+    assert searching._object_line(star).endswith("   V -1.46")
+    planet = SkyObject(ObjectKind.CONSTELLATION, "Orion")
+    assert searching._object_line(planet).endswith(f"   {ObjectKind.CONSTELLATION.value}")
+
+
+def timeline_events(*messages_s: float) -> TimelineEvents:
+    """Return a mode from 10 s and from 20 s on, messages, and triggers at 30 and 31 s."""
+    kinds = [EventKind.MODE, EventKind.MODE, *[EventKind.MESSAGE] * len(messages_s)]
+    texts = ["AUTO", "LOITER", *(f"at {second:g}" for second in messages_s)]
+    events = SimpleNamespace(
+        utc_s=np.array([1010.0, 1020.0, *(1000 + s for s in messages_s)]), kinds=kinds, texts=texts
+    )
+    triggers = SimpleNamespace(source="CAM", camera="camera 1", utc_s=np.array([1030.0, 1031.0]))
+    return TimelineEvents(SimpleNamespace(events=events, triggers=(triggers,)), 1000.0)
+
+
+def test_events_are_near_within_six_pixels() -> None:
+    found, axis = timeline_events(15.0), TimeAxis(100.0)
+    axis.start_s, axis.stop_s = 0.0, 100.0
+    assert found.count == 5
+    # A pixel is 0.1 s.
+    near = {second: found.near(second, 1000.0, axis) for second in (9.9, 10.0, 15.59, 15.61, 14.41, 29.5, 30.5)}
+    assert near == {
+        9.9: [],
+        10.0: ["mode AUTO"],
+        15.59: ["mode AUTO", "at 15"],
+        15.61: ["mode AUTO"],
+        14.41: ["mode AUTO", "at 15"],
+        29.5: ["mode LOITER", "CAM 1: 30.000 s"],
+        30.5: ["mode LOITER", "CAM 1: 30.000 s", "CAM 2: 31.000 s"],
+    }
+    # Six lines at most, and how many more there are.
+    many = timeline_events(*([15.0] * 5)).near(15.0, 1000.0, axis)
+    assert many == ["mode AUTO", *["at 15"] * 5]
+    many = timeline_events(*([15.0] * 7)).near(15.0, 1000.0, axis)
+    assert many == ["mode AUTO", *["at 15"] * 5, "and 2 more"]
+
+
+def test_day_and_twilight_of_a_live_flight_are_computed_ten_minutes_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def intervals(_: object, first_s: float, last_s: float) -> dict[str, np.ndarray]:
+        asked.append((first_s, last_s))
+        return {"day": np.array([[first_s + 1, first_s + 2]])}
+
+    monkeypatch.setattr(timeline, "light_intervals", intervals)
+    for grows, expected in ((True, [700.0, 1301.0]), (False, [100.0, 101.0, 700.0, 701.0])):
+        asked.clear()
+        panel = SimpleNamespace(_lit_until_s=-np.inf, grows=grows, _position=None, _origin_s=50.0, _light={})
+        for last_s in (100.0, 101.0, 700.0, 701.0):
+            assert list(timeline.Timeline._light_until(panel, last_s)) == ["day"]
+        assert asked == [(50.0, last_s) for last_s in expected]
+
+
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_frame_waits_for_a_sixtieth_of_a_second_and_live_for_the_next_attitude(
+    is_live: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept, waited = [], []
+    monkeypatch.setattr(loop.time, "perf_counter", lambda: 50.0)
+    monkeypatch.setattr(loop.time, "sleep", slept.append)
+    link = SimpleNamespace(
+        latest=lambda: SimpleNamespace(utc_s=1000.0), wait_for=lambda utc_s, most_s: waited.append((utc_s, most_s))
+    )
+    session = SimpleNamespace(head=SimpleNamespace(live=is_live), live=SimpleNamespace(link=link))
+    for began_s in (49.99, 49.98):
+        loop.Viewer.pace(SimpleNamespace(session=session), began_s)
+    # 16.7 ms after the frame began, of which 10 ms have passed; after 20 ms it is late.
+    assert slept == [pytest.approx(1 / 60 - 0.01, abs=1e-9)]
+    # Just after the latest attitude, for 33 ms at most.
+    after = [(pytest.approx(1000.000001, rel=0, abs=1e-7), pytest.approx(1 / 30))] * 2
+    assert waited == (after if is_live else [])
+    loop.Viewer.pace(SimpleNamespace(session=SimpleNamespace(head=None, live=session.live)), 49.98)
+    loop.Viewer.pace(SimpleNamespace(session=SimpleNamespace(head=session.head, live=None)), 49.98)
+    assert len(waited) == (2 if is_live else 0)
+
+
+def test_the_text_of_a_window_grows_in_tenths_and_with_the_units_of_the_screen() -> None:
+    assert [resized_text(scale, steps) for scale, steps in ((1.0, 1), (1.0, -1), (0.7, -1), (2.5, 1), (1.26, 0))] == [
+        *(1.1, 0.9, 0.7, 2.5, 1.3)
+    ]
+    # Two pixels a unit at a content scale of 2, as on macOS, and one pixel a unit, as on Windows.
+    assert [text_scale(2.0, 1800, 900), text_scale(2.0, 900, 900), text_scale(1.5, 0, 900)] == [1.0, 2.0, 1.5]
+
+
+@pytest.mark.parametrize("has_latest", [True, False])
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize(("playing", "live"), [(True, True), (True, False), (False, False)])
+def test_a_live_image_that_is_drawn_is_timed_and_a_flight_that_plays_may_show_the_last_one(
+    playing: bool, live: bool, drawn: bool, has_latest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timed, asked, advanced = [], [], []
+    monkeypatch.setattr(state, "_exposure_to_show", lambda *_: (object(), 3))
+    monkeypatch.setattr(state, "_follow_image", lambda _: None)
+    monkeypatch.setattr(state, "Shot", lambda *_, **__: SimpleNamespace(exposure=None, simulator=None))
+    head = SimpleNamespace(playing=playing, live=live, advance=advanced.append)
+    session = SimpleNamespace(
+        _poll=lambda: None,
+        _poll_link=lambda _: None,
+        _measure=lambda: None,
+        _exposed=lambda shot: shot,
+        _shows_link=False,
+        _latest="attitude" if has_latest else None,
+        live=SimpleNamespace(drew=lambda *what: timed.append(what)),
+        loaded=SimpleNamespace(head=head, simulator=None),
+        is_looking=False,
+        comparison=SimpleNamespace(is_noiseless=False),
+        config=Config(),
+        scene="scene",
+        image=SimpleNamespace(update=lambda _, playing: (asked.append(playing), drawn)[1]),
+    )
+    state.Session.update(session, 0.25)
+    assert advanced == [0.25]
+    # The image of the exposure before may be shown while a log plays, not while a link is live.
+    assert asked == [playing and not live]
+    is_timed = drawn and live and has_latest
+    assert timed == ([("attitude", "scene", Config().exposure.duration_s)] if is_timed else [])
