@@ -17,6 +17,7 @@ WORDS = {
     rf"{NUMBER} or more": ("at_least",),
     rf"^a whole number from {NUMBER}$": ("at_least",),
     rf"an angle of up to {NUMBER}": ("at_most",),
+    rf"an azimuth in degrees up to {NUMBER}": ("at_most",),
     r"^a positive ()": ("above",),
 }
 IS_ALLOWED = {"at_least": True, "at_most": True, "above": False, "below": False}
@@ -60,3 +61,14 @@ def test_a_key_is_limited_as_its_description_says(field: FieldInfo, name: str, l
     assert not accepts(field, kind(limit + step))
     assert accepts(field, kind(limit)) == IS_ALLOWED[name]
     assert accepts(field, kind(limit - step))
+
+
+def test_a_key_says_all_of_its_upper_limits() -> None:
+    silent = [
+        f"{section}.{name}"
+        for section, model in SECTIONS.items()
+        for name, field in model.model_fields.items()
+        if any(hasattr(one, "le") or hasattr(one, "lt") for one in field.metadata)
+        and not {"at_most", "below"} & set(stated(field))
+    ]
+    assert silent == []

@@ -12,6 +12,8 @@ from glstar.telemetry.source import (
     flyable,
     is_missing_height,
     is_zero_position,
+    no_clock_samples,
+    no_position_samples,
     plausible_utc,
     position_samples,
     spikes,
@@ -205,3 +207,10 @@ def test_a_boot_is_chosen_by_its_number() -> None:
     boots = (Boot(1), Boot(2), Boot(3))
     assert chosen_boots("log", boots, None) == boots
     assert chosen_boots("log", boots, 2) == (Boot(2),)
+
+
+def test_batches_without_samples_are_empty() -> None:
+    positions, clock = no_position_samples("no GPS"), no_clock_samples("no UTC")
+    columns = (positions.clock_s, positions.latitude_rad, positions.longitude_rad, positions.height_m)
+    assert [column.size for column in (*columns, clock.clock_s, clock.utc_s)] == [0] * 6
+    assert (positions.source, clock.source) == ("no GPS", "no UTC")
