@@ -98,5 +98,13 @@ def test_two_readings_are_of_one_boot_if_a_clock_goes_on(
     later = np.arange(20) >= 10
     boot_s = np.where(later, 99.0 + boot_step_s + np.arange(20) - 10, 90.0 + np.arange(20))
     rows = readings(boot_s, np.where(later, utc_step_s, 0.0), 5000.0 + np.where(later, stamp_step_s, 0.0))
-    _, used, _ = _corrected(rows)
+    _, used, notes = _corrected(rows)
     np.testing.assert_array_equal(used, later | (not is_one_boot))
+    assert bool(notes) is is_one_boot
+
+
+@pytest.mark.parametrize("interval_s", [0.0, 0.25])
+def test_readings_that_are_quick_or_at_one_time_are_of_one_boot(interval_s: float) -> None:
+    later = np.arange(20) >= 10
+    _, used, _ = _corrected(readings(50.0 + interval_s * np.arange(20.0), np.where(later, 8.0, 0.0)))
+    np.testing.assert_array_equal(used, later)

@@ -381,7 +381,10 @@ def test_rows_of_the_first_second_are_those_that_repeat_it() -> None:
     assert not in_first_second(np.full(20, 5.0)).any()
 
 
-@pytest.mark.parametrize(("rows", "glitches", "are_found"), [(5000, 40, True), (5000, 150, False), (500, 15, True)])
+@pytest.mark.parametrize(
+    ("rows", "glitches", "are_found"),
+    [(5000, 40, True), (5000, 98, True), (5000, 104, False), (500, 15, True), (500, 20, True), (500, 21, False)],
+)
 def test_times_that_are_wrong_for_a_row_are_not_valid_unless_a_fiftieth_are(rows, glitches, are_found) -> None:
     """A table with more steps back than a fiftieth of its rows is not sorted: all finite times are valid."""
     clock_s = np.arange(rows) / 10
