@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
+from glstar.config.sweep import Axis, Sweep
 from glstar.errors import ConfigError
 from glstar.export.plan.dataset import DataSetFrames
 from glstar.export.plan.frames import plan_frames
@@ -234,3 +235,54 @@ def test_a_data_set_has_the_frames_of_each_sample_and_skips_those_across_gaps(tm
     assert list(frames.skipped) == left_out
     assert len(left_out) > 20
     assert frames.numbers.tolist() == sorted(set(range(first)) - {frame.number for frame in left_out})
+
+
+def test_the_extremes_have_every_value_of_a_list_and_both_bounds_of_a_range():
+    sweep = Sweep(
+        (Axis("a", values=(3, 1, 2)), Axis("b", least=-1.5, most=2.5), Axis("c", least=2, most=4, kind="int"))
+    )
+
+    first = {"a": 3, "b": -1.5, "c": 2}
+    changed = ({"a": 3}, {"a": 1}, {"a": 2}, {"b": -1.5}, {"b": 2.5}, {"c": 2}, {"c": 4})
+    assert list(sweep.extremes()) == [first | one for one in changed]
+    assert list(Sweep((Axis("t", least=86400, most=90000, kind="utc"),)).extremes()) == [
+        {"t": "1970-01-02T00:00:00.000000Z"}, {"t": "1970-01-02T01:00:00.000000Z"},
+    ]  # fmt: skip
+
+
+def test_random_numbers_become_values_of_each_kind():
+    chance = np.array([0.0, 0.25, 0.5, 0.9999999])
+
+    assert Axis("k", least=3, most=6, kind="int").drawn(chance) == [3, 4, 5, 6]
+    np.testing.assert_allclose(Axis("k", least=-2, most=6).drawn(chance), [-2, 0, 2, 6], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(Axis("k", least=0.01, most=100, log=True).drawn(chance), [0.01, 0.1, 1, 100], rtol=1e-5)
+    np.testing.assert_allclose(
+        Axis("k", least=-90, most=90, sine=True).drawn(chance), [-90, -30, 0, 90], rtol=0, atol=0.06
+    )
+    times = Axis("k", least=86400, most=90000, kind="utc").drawn(chance[:3])
+    assert times == ["1970-01-02T00:00:00.000000Z", "1970-01-02T00:15:00.000000Z", "1970-01-02T00:30:00.000000Z"]
+
+
+def test_lists_turn_as_an_odometer_and_draws_turn_fastest():
+    axes = Axis("a", values=(0, 1)), Axis("x", least=0, most=1), Axis("b", values=(0, 1, 2)), Axis("c", values=(0, 1))
+    sweep = Sweep(axes, draws=3, seed=7)
+
+    assert len(sweep) == 2 * 3 * 2 * 3
+    samples = [sweep.sample(number) for number in range(len(sweep))]
+    expected = [one for one in product((0, 1), (0, 1, 2), (0, 1)) for _ in range(3)]
+    assert [(one["a"], one["b"], one["c"]) for one in samples] == expected
+    assert len({one["x"] for one in samples}) == len(samples)
+    for key in "axbc":
+        assert sweep.column(key) == [one[key] for one in samples]
+    assert sweep.column("x", salt=1) != sweep.column("x")
+    assert sweep.as_json() == {
+        "draws": 3, "seed": 7,
+        "varies": {"a": [0, 1], "x": {"min": 0, "max": 1, "log": False}, "b": [0, 1, 2], "c": [0, 1]},
+    }  # fmt: skip
+
+
+def test_a_sweep_of_draws_alone_is_one():
+    assert not Sweep()
+    assert not Sweep(draws=1)
+    assert Sweep(draws=2)
+    assert Sweep((Axis("a", values=(1,)),))

@@ -176,7 +176,7 @@ def test_a_stream_without_frames_leaves_no_file(tmp_path: Path) -> None:
 
 def test_bad_names_are_one_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "night.ts").touch()
-    for wrong in ("rtp://127.0.0.1:70000", "rtp://127.0.0.1/more", "rtp://65535"):
+    for wrong in ("rtp://127.0.0.1:70000", "rtp://127.0.0.1/more", "rtp://65535", "rtp://0"):
         with pytest.raises(ConfigError, match="is no address; write rtp://HOST:PORT"):
             video(wrong)
     with pytest.raises(ExportError, match="is there already"):
@@ -206,7 +206,14 @@ def test_a_host_that_nobody_knows_is_refused_before_the_link_is_opened(monkeypat
 
 @pytest.mark.parametrize(
     ("where", "host", "port"),
-    [("rtp://", "127.0.0.1", 5600), ("rtp://5700", "127.0.0.1", 5700), ("rtp://10.0.0.2", "10.0.0.2", 5600)],
+    [
+        ("rtp://", "127.0.0.1", 5600),
+        ("rtp://5700", "127.0.0.1", 5700),
+        ("rtp://10.0.0.2", "10.0.0.2", 5600),
+        ("rtp://10.0.0.2:5700", "10.0.0.2", 5700),
+        ("rtp://1", "127.0.0.1", 1),
+        ("rtp://65534", "127.0.0.1", 65534),  # RTCP has the port above
+    ],
 )
 def test_what_an_address_leaves_out_is_this_computer_and_the_usual_port(where: str, host: str, port: int) -> None:
     assert RtpAddress.parse(where) == (host, port)

@@ -15,7 +15,7 @@ from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import _eight_bits, decode, find_damage, fit_format
-from glstar.export.imagefiles.processing import process
+from glstar.export.imagefiles.processing import process, to_8_bits
 
 SETTINGS = """
 [camera]
@@ -112,6 +112,35 @@ def test_a_colour_matrix_keeps_grey_and_saturates_colours():
     red, green, blue = process(raw, sensor, sixteen_bits=True)[8, 8] / 65535 * 4095
     assert red == pytest.approx(2000, abs=1)
     assert (green, blue) == (pytest.approx(800, abs=1), pytest.approx(975, abs=1))
+
+
+@pytest.mark.parametrize(("at", "rows"), [((0, 0), (2000, 800, 975)), ((1, 1), (875, 775, 1850))])
+def test_a_colour_matrix_has_the_contrast_of_its_columns(at, rows):
+    """Half as much again of red or of blue, beside grey of 1000."""
+    raw = np.full((16, 16), 1000, np.uint16)
+    raw[at[0] :: 2, at[1] :: 2] = 1500
+    sensor = sensor_with(mosaic="rggb", demosaic="bilinear", colour_matrix="rpi", red_gain=1.0, blue_gain=1.0)
+    assert process(raw, sensor, sixteen_bits=True)[8, 8] / 65535 * 4095 == pytest.approx(rows, abs=1)
+
+
+@pytest.mark.parametrize("channel", ["luma", "green", "max"])
+@pytest.mark.parametrize("colour", [(1000, 200, 400), (200, 900, 500), (300, 100, 1200)])
+def test_one_channel_is_green_the_largest_or_the_luminance_of_bt_601(channel, colour):
+    raw = np.empty((16, 16), np.uint16)
+    raw[::2, ::2], raw[1::2, 1::2] = colour[0], colour[2]
+    raw[::2, 1::2] = raw[1::2, ::2] = colour[1]
+    sensor = sensor_with(mosaic="rggb", demosaic="bilinear", red_gain=1.0, blue_gain=1.0, channel=channel)
+    luminance = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2]  # ITU-R BT.601-7, section 2.5.1
+    expected = {"luma": luminance, "green": colour[1], "max": max(colour)}[channel]
+    assert process(raw, sensor, sixteen_bits=True)[8, 8] / 65535 * 4095 == pytest.approx(expected, abs=0.2)
+
+
+@pytest.mark.parametrize("white_dn", [255, 1023, 4095, 65535])
+def test_digital_numbers_on_a_screen_are_rounded_and_end_at_white(white_dn):
+    pixels = np.unique(np.linspace(0, white_dn, 700).astype(np.uint16))
+    expected = np.floor(pixels.astype(float) * 255 / white_dn + 0.5)
+    np.testing.assert_array_equal(to_8_bits(pixels, white_dn), expected)
+    assert to_8_bits(np.array([0, 3000, 65535], np.uint16), 3000).tolist() == [0, 255, 255]
 
 
 def test_denoising_smooths_noise_and_keeps_a_bright_star():

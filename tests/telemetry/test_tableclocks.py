@@ -381,7 +381,10 @@ def test_rows_of_the_first_second_are_those_that_repeat_it() -> None:
     assert not in_first_second(np.full(20, 5.0)).any()
 
 
-@pytest.mark.parametrize(("rows", "glitches", "are_found"), [(5000, 40, True), (5000, 150, False), (500, 15, True)])
+@pytest.mark.parametrize(
+    ("rows", "glitches", "are_found"),
+    [(5000, 40, True), (5000, 98, True), (5000, 104, False), (500, 15, True), (500, 20, True), (500, 21, False)],
+)
 def test_times_that_are_wrong_for_a_row_are_not_valid_unless_a_fiftieth_are(rows, glitches, are_found) -> None:
     """A table with more steps back than a fiftieth of its rows is not sorted: all finite times are valid."""
     clock_s = np.arange(rows) / 10
@@ -391,4 +394,55 @@ def test_times_that_are_wrong_for_a_row_are_not_valid_unless_a_fiftieth_are(rows
     expected = np.isfinite(clock_s)
     if are_found:
         expected[wrong] = False
+    np.testing.assert_array_equal(valid_rows(clock_s), expected)
+
+
+def glitched(rows: int, step_s: float, glitch: slice, by_s: float) -> Float:
+    clock_s = np.arange(rows) * step_s
+    clock_s[glitch] += by_s
+    return clock_s
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(
+    ("rows", "step_s", "length", "by_s", "is_valid"),
+    [
+        (600, 0.1, 97, 400.0, False),  # up to 10 s
+        (600, 0.1, 103, 400.0, True),
+        (600, 1.0, 9, 4000.0, False),
+        (600, 1.0, 12, 4000.0, True),
+        (60, 8.0, 2, 4000.0, False),  # or two rows
+        (60, 8.0, 3, 4000.0, True),
+    ],
+)
+def test_an_excursion_of_the_time_is_cut_up_to_ten_seconds_or_two_rows(
+    side: int, rows: int, step_s: float, length: int, by_s: float, is_valid: bool
+) -> None:
+    glitch = slice(20, 20 + length)
+    expected = np.full(rows, True)
+    expected[glitch] = is_valid
+    np.testing.assert_array_equal(valid_rows(glitched(rows, step_s, glitch, side * by_s)), expected)
+
+
+@pytest.mark.parametrize(
+    ("length", "by_s", "is_valid"), [(2, 0.68, True), (2, 0.72, False), (20, 1.95, True), (20, 2.05, False)]
+)
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_smaller_excursion_than_a_jump_or_its_own_length_is_kept(
+    length: int, by_s: float, is_valid: bool, side: int
+) -> None:
+    """Rows at 0.1 s: a jump is 0.5 s and three intervals more than the usual one, or its times overlap others."""
+    glitch = slice(100, 100 + length)
+    expected = np.full(300, True)
+    expected[glitch] = is_valid
+    np.testing.assert_array_equal(valid_rows(glitched(300, 0.1, glitch, side * by_s)), expected)
+
+
+@pytest.mark.parametrize(("lost_s", "is_cut"), [(4.6, True), (4.8, False), (-2.0, True), (-2.2, False)])
+def test_a_time_that_comes_back_elsewhere_is_no_excursion(lost_s: float, is_cut: bool) -> None:
+    """Rows after twenty at 0.1 s go on within 2.1 s before them, and 6.8 s: three times the usual ones and 0.5 s."""
+    clock_s = glitched(300, 0.1, slice(100, 120), 400.0)
+    clock_s[120:] += lost_s
+    expected = np.full(300, True)
+    expected[100:120] = not is_cut
     np.testing.assert_array_equal(valid_rows(clock_s), expected)

@@ -15,7 +15,7 @@ from glstar.render.scene.scene import Scene
 _DEFAULT = PixelPattern()
 _PATH = "the path of an image: PNG, TIFF, FITS or NPY"
 _FRACTION = "a number from 0 to 1"
-_DENSITY = "a number per million pixels, 0 or more"
+_DENSITY = "a number per million pixels, 0 to 100000"
 
 _DARK_KEYS = (
     Key("camera_seed", _DEFAULT.camera_seed, "a whole number, 0 or more", minimum=0),

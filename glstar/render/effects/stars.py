@@ -145,7 +145,7 @@ COLOUR_BAND = Effect(
             Key(
                 name,
                 getattr(_PLAIN_BAND, name),
-                "a number of magnitudes",
+                "a number of magnitudes, -3 to 3",
                 minimum=-3.0,
                 maximum=3.0,
                 changes_light=True,
