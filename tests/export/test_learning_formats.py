@@ -344,7 +344,9 @@ def test_the_manuals_decoder_keeps_the_numbers_of_images(kind: str, dtype: type,
     assert made.exit_code == 0, made.output
     convert(Path("night"), Path("shards"), "--to", "webdataset")
     names: dict[str, Any] = {}
-    exec(next(block.code for block in blocks(asset("manual") / "export.md") if "import webdataset" in block.code), names)
+    exec(
+        next(block.code for block in blocks(asset("manual") / "export.md") if "import webdataset" in block.code), names
+    )
 
     found = list(names["frames"])
 
