@@ -69,6 +69,33 @@ def test_an_ekf_that_differs_from_att_by_its_trim_is_reported_from_one_degree_on
     )
 
 
+@pytest.mark.parametrize(
+    ("att_deg", "xkq_deg", "between_deg"), [(170, -160, 30), (190, 160, 30), (5, -5, 10), (0, 179, 179)]
+)
+def test_a_difference_in_yaw_is_the_shorter_one(path: Path, att_deg: float, xkq_deg: float, between_deg: float) -> None:
+    log_of(att_yaw_deg=att_deg, xkq_yaw_deg=xkq_deg).save(path)
+
+    [note] = open_flight(path).notes
+
+    assert note.startswith(f"XKQ is {between_deg:.1f} deg from ATT in the median ({between_deg:.1f} deg in yaw); ")
+
+
+@pytest.mark.parametrize(("far", "is_noted"), [(1, False), (3, True)])
+def test_an_ekf_that_differs_for_a_hundredth_of_the_flight_is_reported(path: Path, far: int, is_noted: bool) -> None:
+    """Of 200 samples."""
+    log = Log()
+    for number, t in enumerate(times(duration_s=8.0)):
+        log.att(t, yaw_deg=10.0 + 5.0 * (100 <= number < 100 + far))
+        log.pos(t)
+        log.xkq(t, 0, 10.0)
+    for t in times(rate_hz=5):
+        log.gps(t)
+
+    notes = open_flight(log.save(path)).notes
+
+    assert [note.split(" of the time")[0] for note in notes] == [f"for {far / 2:.1f} %"] * is_noted
+
+
 def test_the_survey_names_the_active_estimator(path: Path) -> None:
     log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.0)
     for t in np.arange(2.04, 2.60, 0.04):
