@@ -19,7 +19,6 @@ import os
 import re
 import subprocess
 import sys
-from collections import defaultdict
 from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 
@@ -49,7 +48,7 @@ class LineTests:
         self._seconds: dict[str, float] = json.loads((folder / "seconds.json").read_text(encoding="utf-8"))
 
     def of(self, file: str, line: int, most_s: float = math.inf) -> list[str]:
-        """Return the tests that run a line of a file, those of the quickest files first, which take up to `most_s`.
+        """Return the tests that run a line of a file, the quickest first, which together take up to `most_s`.
 
         What runs once, when a module is imported, is seen by the tests that run any of the lines which name what it
         defines, or else any line of the module.
@@ -62,11 +61,7 @@ class LineTests:
             word = re.compile(rf"\b({'|'.join(names)})\b")
             found = _named(by_line, [k for k, one in enumerate(text.splitlines(), 1) if word.search(one)])
         found = found or _named(by_line, by_line)
-        by_file: dict[str, list[tuple[float, str]]] = defaultdict(list)
-        for test in found & self._seconds.keys():
-            by_file[test.partition("::")[0]].append((self._seconds[test], test))
-        ordered = sorted(by_file.values(), key=lambda tests: (sum(seconds for seconds, _ in tests), tests))
-        tests = [test for some in ordered for test in sorted(some)]
+        tests = sorted((self._seconds[test], test) for test in found & self._seconds.keys())
         passed = itertools.accumulate(seconds for seconds, _ in tests)
         return [test for (_, test), seconds in zip(tests, passed, strict=True) if seconds <= most_s]
 

@@ -11,9 +11,9 @@ Works on copies of the checkout, one per worker, in a temporary directory.  Firs
 must pass.  A fault is caught if one of its tests fails.  The exit status is 1 if fewer than 95 % are caught, 2 if tests
 fail without a fault or a snippet does not occur exactly once.
 
-The tests of a random fault are those that run its line, as `linetests` recorded it in DIR: the quickest files first, up
-to --most-s in all, so the result is a lower bound of what the suite catches.  A test that fails without the fault, too,
-is left out.
+The tests of a random fault are those that run its line, as `linetests` recorded it in DIR: the quickest first, up to
+--most-s in all, so the result is a lower bound of what the suite catches.  A test that fails without the fault, too, is
+left out.
 """
 
 import argparse
