@@ -18,7 +18,7 @@ from glstar.cli import app
 from glstar.export.directory import is_own_report, remove_own_files
 from glstar.export.report.charts import curve, ground_track, sky_track
 from glstar.export.report.html import evenly
-from glstar.export.report.pictures import stretched
+from glstar.export.report.pictures import drawing_of, stretched
 from glstar.export.report.setpage import set_page
 from glstar.system.imagefiles import encode_png
 
@@ -344,3 +344,30 @@ def test_chromium_zooms_with_the_wheel_moves_by_dragging_and_resets_on_a_double_
     np.testing.assert_allclose(moved[1:], near[1:], rtol=0, atol=1e-9)
     assert caption.startswith("frame 1, ")
     assert names == "none"
+
+
+def test_marks_of_a_page_have_the_radii_of_bodies_and_the_middle_of_trails() -> None:
+    trail = {"x_px": 12.34, "y_px": 20.0, "start": [10.0, 20.0], "end": [14.0, 20.0]}
+    line = {
+        "file": "frame_000003.png",
+        "frame": 3,
+        "utc_mid": "2024-03-10T11:00:00Z",
+        "camera": {"width_px": 40, "height_px": 30},
+        "catalogue": "bsc5",
+        "stars": [
+            {"star_id": 2491, "snr": 10.0, **trail},
+            {"star_id": 99999, "snr": 9.9, **trail, "x_px": None, "y_px": None, "end": None},
+        ],
+        "bodies": [{"name": "Moon", "diameter_px": 9.0, **trail}],
+        "satellites": [{"name": "ISS", **trail}],
+    }
+
+    drawing = drawing_of(line)
+
+    sirius, faint, moon, satellite = drawing.pop("marks")
+    assert drawing == {"file": "frame_000003.png", "frame": 3, "utc": line["utc_mid"], "w": 40, "h": 30}
+    assert sirius[:3] == ["Sirius", 1, [12.3, 20.0]]
+    assert sirius[4] == [[10.0, 20.0, 12.3, 20.0, 14.0, 20.0]]
+    assert (faint[1:3], faint[4]) == ([0, None], [])
+    assert (moon[0], moon[1], satellite[0], satellite[1]) == ("Moon", 1, "ISS", 1)
+    assert moon[3] == satellite[3] + 4.5 == sirius[3] + 4.5
