@@ -87,3 +87,17 @@ def test_short_exposures_keep_their_times_when_they_become_shorter() -> None:
     np.testing.assert_allclose(short.short_times_s()[:, 0], stack.short_times_s()[:, 0], rtol=0, atol=1e-7)
     assert short.span_s == pytest.approx(3 * 0.06 + 0.005 + 0.04)
     assert replace(stack, frames=1).shortened(0.005).span_s == pytest.approx(0.045)
+
+
+def test_a_frame_that_is_not_measured_keeps_what_was_decided_last() -> None:
+    """The queue of three frames goes on; the frame after them has the last decision, too."""
+    state = ControlledExposure.begun(replace(CONTROL, delay_frames=3), 1.0)
+    for level in (0.8, 0.7, 0.6):
+        state = state.after(level)
+    first, second, third = state.queue
+    assert len({first, second, third}) == 3
+
+    later = state.unmeasured()
+
+    assert later.queue == (second, third, third)
+    assert (later.product_s, later.settings) == (state.product_s, second)

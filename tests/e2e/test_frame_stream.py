@@ -59,13 +59,13 @@ def test_a_client_answers_frames_and_the_autopilot_receives_its_positions(tmp_pa
         assert angle_rad(estimated_yaw_rad(utc_s), header["nav"]["q_body_ned"]["middle"]) < 1e-4
 
 
-@pytest.mark.parametrize("with_truth", [False, True])
-def test_the_truth_is_sent_only_if_it_is_asked_for(with_truth: bool) -> None:
+@pytest.mark.parametrize("with_truth", [None, False, True])
+def test_the_truth_is_sent_only_if_it_is_asked_for(with_truth: bool | None) -> None:
     nav = {"frame": 3, "utc": {"middle": "2024-03-10T11:00:00Z"}}
     pixels = np.arange(12, dtype=np.uint16).reshape(3, 4)
     port, received = free_port(), list[Any]()
     with (
-        FrameStream(f"zmq://{port}", with_truth=with_truth) as stream,
+        FrameStream(f"zmq://{port}", **({} if with_truth is None else {"with_truth": with_truth})) as stream,
         zmq.Context() as context,
         context.socket(zmq.SUB) as socket,
     ):
