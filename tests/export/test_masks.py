@@ -1,4 +1,4 @@
-"""Masks without a picture: nodes and interpolation, what is saturated, the flare, and the pixels of each star."""
+"""Masks without a picture: nodes and interpolation, saturated pixels, the flare, and the pixels of each star."""
 
 from types import SimpleNamespace
 from typing import Any

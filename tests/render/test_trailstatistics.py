@@ -82,7 +82,7 @@ def test_bounds_say_whether_a_path_is_on_the_image_all_the_time(bounds, touches,
 def test_a_sample_is_the_path_from_halfway_before_to_halfway_after_it() -> None:
     outside, step = np.array([-3.0, -1.0, 0.0, 1.0, 1.9, 2.1, 6.0, 8.1]), np.full(8, 4.0)
     within, on_image = _parts_within(outside, step, np.full(8, 6.0))
-    # A path from 2 px before to 2 px beyond each: what is below 6 px, and below 0 px.
+    # A path from 2 px before to 2 px beyond each: the parts below 6 px and below 0 px.
     np.testing.assert_allclose(on_image, np.clip((2 - outside) / 4, 0, 1), rtol=0, atol=1e-12)
     np.testing.assert_allclose(within, np.clip((8 - outside) / 4, 0, 1), rtol=0, atol=1e-12)
     np.testing.assert_array_equal(_parts_within(outside, -step, np.full(8, 6.0)), [within, on_image])

@@ -131,7 +131,8 @@ class Checkout:
 
     def failures(self, tests: Sequence[str], *options: str, slowest_s: float | None = None) -> list[str]:
         """Run tests and return those that fail."""
-        named = self.root / "tests-of-this-run.txt"
+        # Beside the checkout, whose files some tests list.
+        named = self.root.parent / "tests.txt"
         named.write_text("\n".join(tests), encoding="utf-8")
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, f"@{named}"]
         environment = os.environ | {"PYTHONPATH": str(self.root)}

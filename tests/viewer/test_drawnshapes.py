@@ -1,4 +1,4 @@
-"""What is drawn over the image and in the panel Flight, by a draw list that records it: no window is needed."""
+"""Drawings over the image and in the panel Flight, by a draw list that records them: no window is needed."""
 
 from math import cos, degrees, hypot, pi, radians, sin
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ CLIP = (0.0, 0.0, 400.0, 300.0)
 
 
 class Drawn:
-    """Records what is drawn, as (kind, numbers); text is 8 px a letter and 10 px high; colours pack to themselves."""
+    """Records drawings as (kind, numbers); text is 8 px a letter and 10 px high; colours pack to themselves."""
 
     def __init__(self):
         self.calls = []

@@ -468,7 +468,7 @@ def test_a_frame_waits_for_a_sixtieth_of_a_second_and_live_for_the_next_attitude
     session = SimpleNamespace(head=SimpleNamespace(live=is_live), live=SimpleNamespace(link=link))
     for began_s in (49.99, 49.98):
         loop.Viewer.pace(SimpleNamespace(session=session), began_s)
-    # 16.7 ms after the frame began, of which 10 ms have passed; after 20 ms it is late.
+    # 16.7 ms after the frame began, and 10 ms have passed; after 20 ms it is late.
     assert slept == [pytest.approx(1 / 60 - 0.01, abs=1e-9)]
     # Just after the latest attitude, for 33 ms at most.
     after = [(pytest.approx(1000.000001, rel=0, abs=1e-7), pytest.approx(1 / 30))] * 2
