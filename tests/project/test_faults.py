@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.scripts.linetests import LineTests, record
-from tests.scripts.mutants import ROOT, Fault, Outcome, Workers, kept_faults, report
+from tests.scripts.mutants import ROOT, Checkout, Fault, Outcome, Workers, kept_faults, report
 from tests.scripts.randomfaults import changes_of, drawn_changes, snippets
 
 FAULTS = kept_faults()
@@ -91,6 +91,31 @@ def test_a_fault_is_injected_into_a_copy_and_taken_out_again(tmp_path: Path) -> 
     assert second.startswith("FAILED tests/render/test_shader_constants.py")
     assert workers.failures_when_whole(in_python.tests) == []
     assert (in_python.occurrences, in_a_shader.occurrences) == (1, 1)
+
+
+@pytest.mark.slow
+def test_random_faults_meet_their_tests_in_forks_of_one_process(tmp_path: Path) -> None:
+    """In a function, and in what runs at import, with or without an effect."""
+    at, file = "glstar/rotation.py", "tests/base/test_rotation.py"
+    raises = f"{file}::test_a_positive_pitch_raises_the_nose"
+    table = f"{file}::test_euler_angles_give_the_same_attitude_as_matrix_and_as_quaternion"
+    faults = [
+        Fault("function", at, "[[c, zero, -s]", "[[c, zero, s]", "", (raises, table)),
+        Fault("import", at, "[xz - wy, yz + wx,", "[xz + wy, yz + wx,", "", (raises, table), at_import=True),
+        Fault("constant", at, "_LINEAR_RAD = 1e-8", "_LINEAR_RAD = 1.1e-8", "", (raises, table)),
+        Fault("syntax", at, "_LINEAR_RAD = 1e-8", "_LINEAR_RAD = missing", "", (raises, table)),
+        Fault("unseen", at, "if q[0] < 0 else q", "if q[0] <= 0 else q", "", (raises, f"{file}::no_such_test")),
+        Fault("no test", at, "if q[0] < 0 else q", "if q[0] <= 0 else q", "", ()),
+    ]
+    said: list[Outcome] = []
+    checkout = Checkout(tmp_path)
+
+    checkout.judge(faults, said.append)
+
+    assert [outcome.fault for outcome in said] == faults
+    caught_by = [outcome.caught_by for outcome in said]
+    assert caught_by == [raises, table, None, "an error when glstar is imported", None, None]
+    assert (checkout.root / at).read_text(encoding="utf-8") == (ROOT / at).read_text(encoding="utf-8")
 
 
 SAMPLE = '''"""A docstring of 3 < 4."""

@@ -65,6 +65,16 @@ class LineTests:
         passed = itertools.accumulate(seconds for seconds, _ in tests)
         return [test for (_, test), seconds in zip(tests, passed, strict=True) if seconds <= most_s]
 
+    def at_import(self, file: str, line: int) -> bool:
+        """Whether no test runs a line of a file but by importing its module."""
+        by_line = self._data.contexts_by_lineno(self._files[file]) if file in self._files else {}
+        begin, end, _ = _statement((ROOT / file).read_text(encoding="utf-8"), line)
+        return not _named(by_line, range(begin, end + 1))
+
+    def time_s(self, tests: Iterable[str]) -> float:
+        """Return the time that tests took together, s."""
+        return sum(self._seconds[test] for test in tests)
+
     @property
     def count(self) -> int:
         """Number of tests recorded."""

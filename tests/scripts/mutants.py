@@ -13,10 +13,11 @@ fail without a fault or a snippet does not occur exactly once.
 
 The tests of a random fault are those that run its line, as `linetests` recorded it in DIR: the quickest first, up to
 --most-s in all, so the result is a lower bound of what the suite catches.  A test that fails without the fault, too, is
-left out.
+left out.  They run in forks of one process for each worker, by `forkedfaults`: some five faults a second.
 """
 
 import argparse
+import json
 import os
 import queue
 import shutil
@@ -26,12 +27,13 @@ import tempfile
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from tests.scripts.forkedfaults import OUTCOMES, TASKS, Fault, changed_file
 from tests.scripts.linetests import LineTests
 from tests.scripts.randomfaults import drawn_changes
 
@@ -44,41 +46,9 @@ SLOWEST_S = 300
 NOT_COPIED = (".git", "__pycache__", "*.egg-info", ".*_cache", ".venv*", "build", "dist", "*.pyc")
 # pytest's exit status: a test failed.
 FAILED = 1
-# Tests that may fail without a random fault before it is given up.
-MOST_BROKEN = 5
+_PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header"]
 # Tests named for each survivor.
 MOST_NAMED = 8
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A change to the sources that the tests must detect.
-
-    Attributes
-    ----------
-    name : str
-    file : str
-        Relative to the checkout.
-    old, new : str
-        A snippet that occurs exactly once in the file, and its replacement.
-    means : str
-        The consequence for the user.
-    tests : tuple of str
-        Arguments of pytest.
-    """
-
-    name: str
-    file: str
-    old: str
-    new: str
-    means: str
-    tests: tuple[str, ...]
-
-    @property
-    def occurrences(self) -> int:
-        """Number of occurrences of the snippet in the file; 1 for a valid fault."""
-        path = ROOT / self.file
-        return path.read_text(encoding="utf-8").count(self.old) if path.is_file() else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,32 +83,24 @@ class Checkout:
         if (shared := ROOT.parent / "shared").is_dir():
             (folder / "shared").symlink_to(shared.resolve(), target_is_directory=True)
 
-    @contextmanager
-    def broken_by(self, fault: Fault) -> Iterator[None]:
-        path = self.root / fault.file
-        whole = path.read_text(encoding="utf-8")
-        self._write(path, whole.replace(fault.old, fault.new))
-        try:
-            yield
-        finally:
-            self._write(path, whole)
-
-    def _write(self, path: Path, text: str) -> None:
-        path.write_text(text, encoding="utf-8")
-        # Python detects a stale .pyc by time (whole seconds) and size, which two versions may share.
-        for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
-            compiled.unlink()
+    def broken_by(self, fault: Fault) -> AbstractContextManager[object]:
+        """Inject a fault for a while."""
+        return changed_file(self.root / fault.file, fault.old, fault.new)
 
     def failures(self, tests: Sequence[str], *options: str, slowest_s: float | None = None) -> list[str]:
         """Run tests and return those that fail."""
         # Beside the checkout, whose files some tests list.
         named = self.root.parent / "tests.txt"
         named.write_text("\n".join(tests), encoding="utf-8")
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, f"@{named}"]
-        environment = os.environ | {"PYTHONPATH": str(self.root)}
         try:
             done = subprocess.run(
-                command, cwd=self.root, env=environment, capture_output=True, text=True, check=False, timeout=slowest_s
+                [*_PYTEST, *options, f"@{named}"],
+                cwd=self.root,
+                env=self._environment(),
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=slowest_s,
             )
         except subprocess.TimeoutExpired:
             return [f"no end within {slowest_s} s"]
@@ -148,6 +110,32 @@ class Checkout:
         if done.returncode != FAILED and not failed:
             raise RuntimeError(f"pytest cannot run {' '.join(tests)}:\n{done.stdout}{done.stderr}")
         return failed or done.stdout.splitlines()[-1:]
+
+    def judge(self, faults: Sequence[Fault], say: Callable[[Outcome], None]) -> None:
+        """Run the tests of some faults in forks of one process of pytest, and say each outcome as it comes."""
+        tasks, output = self.root.parent / "tasks.json", self.root.parent / "output.txt"
+        tasks.write_text(json.dumps([asdict(fault) for fault in faults]), encoding="utf-8")
+        files = sorted({test.partition("::")[0] for fault in faults for test in fault.tests})
+        read, write = os.pipe()
+        with output.open("w", encoding="utf-8") as printed:
+            process = subprocess.Popen(
+                [*_PYTEST, "-p", "tests.scripts.forkedfaults", *(files or ["tests/project"])],
+                cwd=self.root,
+                env=self._environment() | {TASKS: str(tasks), OUTCOMES: str(write)},
+                pass_fds=[write],
+                stdout=printed,
+                stderr=subprocess.STDOUT,
+            )
+        os.close(write)
+        waiting = list(faults)
+        with os.fdopen(read, encoding="utf-8") as lines:
+            for line in lines:
+                say(Outcome(waiting.pop(0), *json.loads(line)))
+        if process.wait() != 0 or waiting:
+            raise RuntimeError(f"pytest cannot run:\n{output.read_text(encoding='utf-8')}")
+
+    def _environment(self) -> dict[str, str]:
+        return os.environ | {"PYTHONPATH": str(self.root)}
 
 
 class Workers:
@@ -172,24 +160,6 @@ class Workers:
         """Return which tests fail without a fault."""
         with self.one() as checkout:
             return checkout.failures(tests) if tests else []
-
-    def judged(self, fault: Fault) -> Outcome:
-        """Return the result for a fault whose tests have not run without it."""
-        began_s = time.monotonic()
-        tests = list(fault.tests)
-        with self.one() as checkout:
-            for _ in range(MOST_BROKEN if tests else 0):
-                try:
-                    with checkout.broken_by(fault):
-                        failed = checkout.failures(tests, "-x")
-                except RuntimeError:
-                    checkout.failures(tests[:1])  # fails again if it is not the fault that keeps pytest from its start
-                    failed = ["an error when glstar is imported"]
-                named = failed[0].partition(" ")[2].partition(" - ")[0] if failed else ""
-                if named not in tests or not checkout.failures([named]):
-                    return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s)
-                tests.remove(named)
-        return Outcome(fault, None, time.monotonic() - began_s)
 
     def outcome(self, fault: Fault) -> Outcome:
         began_s = time.monotonic()
@@ -229,20 +199,27 @@ def random_faults(count: int, seed: int, only: Sequence[str], lines: LineTests, 
         pairs = zip(old.splitlines(), new.splitlines(), strict=True)
         means = "; ".join(f"{before.strip()}  ->  {after.strip()}" for before, after in pairs if before != after)
         name = f"{change.kind} {change.file}:{change.line}"
-        faults.append(Fault(name, change.file, old, new, means, tuple(lines.of(change.file, change.line, most_s))))
+        tests = tuple(lines.of(change.file, change.line, most_s))
+        times = (lines.time_s(tests), lines.at_import(change.file, change.line))
+        faults.append(Fault(name, change.file, old, new, means, tests, *times))
     return faults
 
 
 def run_random(faults: Sequence[Fault], workers: int) -> int:
     """Inject random faults and print the result of each; return the exit status."""
+    outcomes: list[Outcome] = []
+
+    def say(outcome: Outcome) -> None:
+        name, means, count = outcome.fault.name, outcome.fault.means, len(outcome.fault.tests)
+        by = f"survived {count} tests" if outcome.caught_by is None else f"caught by {outcome.caught_by}"
+        print(f"{outcome.seconds:5.1f} s  {name}: {means}\n  {by}", flush=True)
+        outcomes.append(outcome)
+
     with tempfile.TemporaryDirectory(prefix="glstar-mutants-") as folder, ThreadPoolExecutor(workers) as pool:
-        checkouts = Workers(Path(folder), workers)
-        outcomes = []
-        for outcome in pool.map(checkouts.judged, faults):
-            name, means, count = outcome.fault.name, outcome.fault.means, len(outcome.fault.tests)
-            by = f"survived {count} tests" if outcome.caught_by is None else f"caught by {outcome.caught_by}"
-            print(f"{outcome.seconds:5.1f} s  {name}: {means}\n  {by}", flush=True)
-            outcomes.append(outcome)
+        folders = [Path(folder, str(number)) for number in range(workers)]
+        for one in folders:
+            one.mkdir()
+        list(pool.map(lambda one: Checkout(one[1]).judge(faults[one[0] :: workers], say), enumerate(folders)))
     return report(outcomes)
 
 
@@ -272,6 +249,8 @@ def main() -> int:
     if wanted.random is not None:
         if wanted.lines is None:
             parser.error("--random needs --lines DIR; python -m tests.scripts.linetests DIR records it in half an hour")
+        if not hasattr(os, "fork"):
+            parser.error("--random needs a system that can fork a process, such as Linux or macOS")
         drawn = random_faults(wanted.random, wanted.seed, wanted.only or (), LineTests(wanted.lines), wanted.most_s)
         if wanted.list:
             print(*(f"{fault.name}: {fault.means}" for fault in drawn), sep="\n")
