@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.errors import ConfigError
 from glstar.export.truth.lines import read_truth
-from glstar.export.truth.splits import FlightIdentity, SplitRule, splits_by_file, write_splits
+from glstar.export.truth.splits import FlightIdentity, SplitRule, refuse_empty_splits, splits_by_file, write_splits
 
 RUNNER = CliRunner()
 SPLITS = ("train", "validation", "test")
@@ -189,6 +190,52 @@ gusts = "light"
 flight.synthetic.seed = [1, 2]
 """
 )
+
+
+@pytest.mark.parametrize(
+    ("flags", "status"),
+    [
+        (["--split", "flight"], 1),
+        (["--split", "flight:exact"], 1),
+        (["--split", "flight:exact", "--dry-run"], 1),
+        (["--split", "flight", "--split-shares", "1,0,0", "--dry-run"], 0),
+        (["--split", "flight:exact", "--split-shares", "50,50,0", "--dry-run"], 0),
+    ],
+)
+@pytest.mark.parametrize("sweep", [True, False])
+def test_a_split_without_a_flight_is_refused_before_frames_are_drawn(
+    flags: list[str], status: int, sweep: bool, tmp_path: Path
+) -> None:
+    text = HOVER if sweep else HOVER[: HOVER.index("[sweep]")]
+    (tmp_path / "hover.toml").write_text(text)
+    command = ["export", "-c", str(tmp_path / "hover.toml"), "-o", str(tmp_path / "set"), *flags]
+
+    made = RUNNER.invoke(app, command)
+
+    halves_one_flight = not sweep and "50,50,0" in flags
+    assert made.exit_code == (1 if halves_one_flight else status)
+    flights = "2 flights" if sweep else "1 flight"
+    assert (f"would have none of the {flights}" in made.output) == bool(made.exit_code)
+    assert not (tmp_path / "set").exists()
+
+
+def test_flights_are_read_until_every_split_has_one() -> None:
+    manifest = {"flight": {"name": "log", "sha256": "0"}, "config": {}, "samples": 10**9}
+    rule, read = SplitRule.parse("60,20,20"), []
+
+    def samples() -> Iterator[dict[str, Any]]:
+        for seed in range(10**9):
+            read.append(seed)
+            yield {"flight.synthetic.gusts": "light", "flight.synthetic.seed": seed}
+
+    refuse_empty_splits(rule, manifest, samples())
+
+    of = [rule.split_of(FlightIdentity("log", "0", {"gusts": "light", "seed": seed}).digest) for seed in read]
+    assert set(of) == set(SPLITS)
+    assert set(of[:-1]) != set(SPLITS)
+    # Without gusts all samples are one flight.
+    with pytest.raises(ConfigError, match="none of the 1 flight"):
+        refuse_empty_splits(rule, manifest, ({"flight.synthetic.seed": seed} for seed in range(20)))
 
 
 def test_two_flights_are_halved_exactly_or_refused_and_a_hover_in_other_gusts_is_noted(tmp_path: Path) -> None:

@@ -101,7 +101,9 @@ def export(
     wanted = ExportOptions(
         start, stop, frames=frames, image_format=format_, noiseless=light, seed=seed, masks=masks, exif=exif
     )
-    job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video, dry_run=dry_run)
+    job = _prepare(
+        settings, known.paths, known.directory, wanted, strict=strict, video=video, summaries=summaries, dry_run=dry_run
+    )
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
@@ -141,6 +143,7 @@ def _prepare(
     *,
     strict: bool,
     video: Path | None,
+    summaries: options.SummaryFiles,
     dry_run: bool,
 ) -> "Export":
     """Read the flights and plan their frames; print notes on how the logs were read."""
@@ -157,6 +160,7 @@ def _prepare(
         echo_note(f"{name}: {note}")
     if video is not None:
         options.refuse_video_of_two_sizes(settings, len(paths), video)
+    summaries.refuse_empty_splits(job)
     return _controlled(job) if job.is_controlled and not dry_run else job
 
 

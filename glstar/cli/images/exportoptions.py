@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from glstar.export.run.executors import OnPixels
     from glstar.export.run.export import Export
     from glstar.export.run.store import StoreExport
+    from glstar.export.truth.splits import SplitRule
 
 # Frames for which one more worker process saves time, although it needs a second to start.
 FRAMES_PER_WORKER = 100
@@ -253,13 +254,27 @@ class SummaryFiles:
 
     def check(self, *, verify: bool) -> None:
         """Refuse to write beside ``--verify``; raises ConfigError if the shares are not valid."""
-        from glstar.export.truth.splits import SplitRule  # noqa: PLC0415 - OpenCV
-
-        SplitRule.parse(self.split_shares)
+        _ = self._rule
         flags = {"--parquet": self.parquet, "--split": self.split, "--card": self.card, "--report": self.report}
         given = [flag for flag, value in flags.items() if value]
         if verify and given:
             raise typer.BadParameter(f"only compares; leave out {' and '.join(given)}", param_hint="--verify")
+
+    def refuse_empty_splits(self, job: "Export") -> None:
+        """Raise ConfigError if a split would have no flight: hours of drawing later it would be no use."""
+        if self.split is not None:
+            from glstar.export.plan.dataset import DataSetFrames  # noqa: PLC0415 - OpenCV
+            from glstar.export.truth.splits import refuse_empty_splits  # noqa: PLC0415 - OpenCV
+
+            frames = job.task.frames
+            samples = map(frames.settings_of, range(frames.samples)) if isinstance(frames, DataSetFrames) else [{}]
+            refuse_empty_splits(self._rule, job.manifest, samples)
+
+    @property
+    def _rule(self) -> "SplitRule":
+        from glstar.export.truth.splits import SplitRule  # noqa: PLC0415 - OpenCV
+
+        return SplitRule.parse(self.split_shares, self.split_seed, is_exact=self.split == "flight:exact")
 
     @property
     def asked(self) -> dict[str, object]:
@@ -274,11 +289,10 @@ class SummaryFiles:
         from glstar.export.directory import SPLITS  # noqa: PLC0415 - OpenCV
         from glstar.export.report.setpage import write_report  # noqa: PLC0415 - OpenCV
         from glstar.export.truth.datacard import write_card  # noqa: PLC0415 - OpenCV
-        from glstar.export.truth.splits import SplitRule, write_splits  # noqa: PLC0415 - OpenCV
+        from glstar.export.truth.splits import write_splits  # noqa: PLC0415 - OpenCV
 
         if self.split is not None:
-            rule = SplitRule.parse(self.split_shares, self.split_seed, is_exact=self.split == "flight:exact")
-            written = write_splits(job.directory, rule)
+            written = write_splits(job.directory, self._rule)
             echo_note("split by flight: " + ", ".join(f"{split} {count}" for split, count in written.frames.items()))
             for split, fraction in written.near_train.items():
                 if fraction > _MOST_NEAR:

@@ -167,7 +167,7 @@ class DataSetFrames:
     def shot(self, number: int) -> Shot:
         """Return when and how the camera exposes a frame; see `Frames`."""
         which = int(np.searchsorted(self._bounds, number, side="right")) - 1
-        settings = self._settings(which)
+        settings = self.settings_of(which)
         simulator, exposure = self._simulator(which)
         nth, start_s = number - int(self._bounds[which]), settings.get(START, self.start_s)
         first_s, index = simulator.flight.attitude.first_s, which // len(self.config.sweep)
@@ -183,7 +183,8 @@ class DataSetFrames:
         """Return the scene of a frame; see `Frames`."""
         return self.shot(number).composed(number)
 
-    def _settings(self, which: int) -> dict[str, Any]:
+    def settings_of(self, which: int) -> dict[str, Any]:
+        """Return what the sweep sets in a sample, by dotted key; `which` counts through all flights."""
         flight, sample = divmod(which, len(self.config.sweep))
         return self.config.sweep.sample(sample, salt=flight)
 
@@ -304,7 +305,7 @@ class DataSetFrames:
         return self._cache[which]
 
     def _prepared(self, which: int) -> _Prepared:
-        settings = self._settings(which)
+        settings = self.settings_of(which)
         config = self.config.at(settings)
         for path, expected in self.file_hashes:
             if file_hash(path) != expected:

@@ -9,7 +9,7 @@ read, split by split, to be written in the format of another tool.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -181,6 +181,24 @@ class WrittenSplits:
     frames: dict[str, int]  # By split
     # Fraction of the frames of validation and of test whose attitude is within 2 deg of one of train
     near_train: dict[str, float]
+
+
+def refuse_empty_splits(rule: SplitRule, manifest: Mapping[str, Any], samples: Iterable[Mapping[str, Any]]) -> None:
+    """Raise ConfigError before any frame is drawn if a split that has a share would have no flight.
+
+    `samples`: what the sweep sets in each sample, by dotted key; those are taken that suffice.
+    """
+    flights, fault = _Flights(manifest), None
+    found: dict[str, int] = {}
+    for which, settings in enumerate(samples):
+        digest = flights.of({"sample": which, "settings": settings}).digest
+        if digest not in found:
+            found[digest] = 1
+            fault = rule.fault(list(rule.dealt(found).values()))
+        if fault is None:
+            return
+    if fault is not None:
+        raise ConfigError(fault)
 
 
 def write_splits(directory: Path, rule: SplitRule) -> WrittenSplits:
