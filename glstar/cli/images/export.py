@@ -101,9 +101,7 @@ def export(
     wanted = ExportOptions(
         start, stop, frames=frames, image_format=format_, noiseless=light, seed=seed, masks=masks, exif=exif
     )
-    job = _prepare(
-        settings, known.paths, known.directory, wanted, strict=strict, video=video, summaries=summaries, dry_run=dry_run
-    )
+    job = _prepare(settings, known, wanted, summaries, strict=strict, video=video, dry_run=dry_run)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
@@ -137,25 +135,25 @@ def _part_of(shard: str | None, *, force: bool) -> "Shard":
 
 def _prepare(
     settings: "Config",
-    paths: list[Path],
-    output: Path,
+    known: options.NavigatorFiles,
     wanted: "ExportOptions",
+    summaries: options.SummaryFiles,
     *,
     strict: bool,
     video: Path | None,
-    summaries: options.SummaryFiles,
     dry_run: bool,
 ) -> "Export":
     """Read the flights and plan their frames; print notes on how the logs were read."""
     from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV
 
+    paths = known.paths
     if len(paths) > 1 or settings.sweep:
         note_swept(settings)
-        job = prepare_data_set(settings, paths, output, wanted, strict=strict)
+        job = prepare_data_set(settings, paths, known.directory, wanted, strict=strict)
         for log in job.omitted_logs:
             typer.echo(f"glstar: left out: {log.path}: {' '.join(log.reason.split())}", err=True)
     else:
-        job = prepare_export(settings, paths[0], output, wanted)
+        job = prepare_export(settings, paths[0], known.directory, wanted)
     for name, note in job.notes:
         echo_note(f"{name}: {note}")
     if video is not None:
