@@ -150,7 +150,8 @@ def test_neighbours_are_correlated_beyond_pixels_six_px_away() -> None:
 
 
 IMAGE = np.random.default_rng(5).normal(40, 5, (60, 80))
-AT = np.array([[40, 30], [2, 1], [79, 58], [20, 12], [12, 20], [67, 40], [68, 40], [40, 47], [40, 48]])
+IMAGE[3, 0] = 70
+AT = np.array([[40, 30], [1, 2], [79, 58], [20, 12], [12, 20], [67, 40], [68, 40], [40, 47], [40, 48]])
 
 
 def test_peaks_and_profiles_are_above_the_median_of_their_surroundings() -> None:
@@ -183,7 +184,14 @@ def test_a_star_is_clipped_within_three_px() -> None:
     calibration = calibration_of(np.zeros((60, 80)))
     plain, full = np.zeros((60, 80)), np.zeros((60, 80))
     full[20, 30] = 0.98 * 255
-    for star, expected in (((33, 23), True), ((27, 17), True), ((34, 20), False), ((30, 24), False), ((26, 20), False)):
+    for star, expected in (
+        ((33, 23), True),
+        ((27, 17), True),
+        ((34, 20), False),
+        ((30, 24), False),
+        ((26, 20), False),
+        ((30, 16), False),
+    ):
         assert _is_clipped(calibration, (plain, full), np.array(star)) is expected
         assert _is_clipped(calibration, (plain, plain), np.array(star)) is False
     full[20, 30] = 0.979 * 255
@@ -244,7 +252,7 @@ PEAKS = np.array([150.0, 60, 290, 90, 5, 120, 80, 40, 100])
 
 
 def model_of(image: np.ndarray, **more: object) -> SimpleNamespace:
-    level = np.full(SIZE, 20.0)
+    level = np.full(SIZE, 20.0) + np.linspace(-3, 3, SIZE[1])
     is_sky = np.ones(SIZE, bool)
     for x, y in STARS.astype(int):
         is_sky[max(y - 9, 0) : y + 10, max(x - 9, 0) : x + 10] = False
@@ -270,6 +278,7 @@ def drawn(peak: np.ndarray, sigma_px: float, noise_dn: float, seed: int) -> np.n
 def pair() -> tuple[SimpleNamespace, Twin, list[np.ndarray]]:
     real = drawn(PEAKS, 1.3, 2.0, 1)
     images = [drawn(PEAKS * 0.9, 1.5, 2.4, 2), drawn(PEAKS * 0.9, 1.5, 2.4, 3), drawn(PEAKS * 0.7, 1.5, 2.4, 4)]
+    images[0][79:82, 79:82] += 40  # bright in the twin only
     images[0][27, 82] = 251  # clipped in the twin only: no width, but a peak
     model = model_of(real)
     return model, compare_twin(model, *(one.astype(np.uint8) for one in images)), images
@@ -302,8 +311,8 @@ def test_a_twin_is_compared_at_its_bright_unclipped_stars() -> None:
     np.testing.assert_allclose(twin.noise_dn, noise)
     assert figures.noise_error == pytest.approx(np.sqrt(np.mean((noise[2] / noise[1] - 1) ** 2)))
     assert figures.sky_ks == _distance(real[sky.is_sky], one[sky.is_sky])
-    assert figures.neighbour_correlation == _correlation(real - 20, sky.is_sky)
-    assert figures.twin_neighbour_correlation == _correlation(one - 20, sky.is_sky)
+    assert figures.neighbour_correlation == _correlation(real - sky.level_dn, sky.is_sky)
+    assert figures.twin_neighbour_correlation == _correlation(one - sky.level_dn, sky.is_sky)
     assert twin.pixels.dtype == np.uint8
 
 
@@ -326,16 +335,19 @@ def test_sixty_widths_and_ten_profiles_are_compared(monkeypatch: pytest.MonkeyPa
     def counted(name: str, result: object):
         def count(*arguments):
             counts[name].append(len(arguments[-1]))
+            assert arguments[-1][0].tolist() == [69, 50]  # the brightest
             return result
 
         return count
 
     monkeypatch.setattr(module, "_width", counted("width", (1.0, 5)))
     monkeypatch.setattr(module, "_profile", counted("profile", np.ones(11)))
-    monkeypatch.setattr(module, "_peaks_dn", lambda image, at: np.linspace(90, 50, len(at)))
+    monkeypatch.setattr(module, "_peaks_dn", lambda image, at: np.linspace(50, 90, len(at)))
     model = model_of(np.full(SIZE, 20.0))
     model.calibration.matches = SimpleNamespace(
-        predicted=np.arange(70), star=np.arange(70), predicted_xy_px=np.tile([[50.0, 50.0]], (70, 1))
+        predicted=np.arange(70),
+        star=np.arange(70),
+        predicted_xy_px=np.column_stack([np.arange(70.0), np.full(70, 50.0)]),
     )
     compare_twin(model, *(np.full(SIZE, 20, np.uint8),) * 3)
     assert counts == {"width": [60, 60], "profile": [10, 10]}
@@ -476,6 +488,30 @@ def pair_calibration():
     return Notes(())
 
 
+def corners(inset) -> list[float]:
+    x, y, width, height = inset.get_axes_locator()(inset, None).bounds
+    return [x, y, x + width, y + height]
+
+
+def test_details_are_from_the_middle_and_wide_skies_have_a_hundred_bars() -> None:
+    axes = Figure().subplots(1, 3)
+    image = np.random.default_rng(1).normal(200, 90, (300, 260))
+    level = np.full(image.shape, 7.0)
+    model = SimpleNamespace(sky=SkyMap(level, level, np.zeros_like(level), level > 0, 0.1))
+    module._draw_detail(axes[0], model, image)
+    [inset] = axes[0].child_axes
+    np.testing.assert_array_equal(inset.images[0].get_array(), image[40:260, 20:240])
+    # Without noise, of half a DN.
+    assert inset.images[0].get_clim() == (5.5, 13.0)
+    module._draw_sky(axes[1], model, (image, image))
+    low, high = np.quantile(image, (0.0005, 0.9995))
+    edges = [patch.get_x() for patch in axes[1].patches if hasattr(patch, "get_x")]
+    np.testing.assert_allclose(np.diff(edges), np.ceil((high - low) / 100))
+    twin = SimpleNamespace(peaks_dn=np.array([[3.0, 20.0, -4.0], [0.0, 15.0, 5.0]]))
+    module._draw_peaks(axes[2], twin)
+    assert axes[2].lines[0].get_xydata().tolist() == [[3.0, 1e-3], [20.0, 15.0], [1e-3, 5.0]]
+
+
 def test_photograph_and_twin_are_drawn_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
     model, twin, _ = pair()
     figures = []
@@ -499,13 +535,27 @@ def test_photograph_and_twin_are_drawn_side_by_side(monkeypatch: pytest.MonkeyPa
         # Of 120 x 160 px the middle 120 px, from 3 noises below the sky to 12 above it.
         np.testing.assert_array_equal(inset.images[0].get_array(), image[:, 20:140])
         noise_dn = 1.4826 * np.median(np.abs(model.sky.residual_dn[:, 20:140]))
-        assert inset.images[0].get_clim() == pytest.approx((20 - 3 * noise_dn, 20 + 12 * noise_dn))
-    assert left.get_position().x1 < right.get_position().x0
+        level_dn = np.median(model.sky.level_dn[:, 20:140])
+        assert inset.images[0].get_clim() == pytest.approx((level_dn - 3 * noise_dn, level_dn + 12 * noise_dn))
+        # A square in the lower right corner, on a picture of this shape.
+        around = axes.get_position().bounds
+        across = [
+            (one - at) / side for one, at, side in zip(corners(inset), around[:2] * 2, around[2:] * 2, strict=True)
+        ]
+        assert across == pytest.approx([0.62, 0.0, 1.0, 0.38 * 160 / 120])
+    places = [(one.get_subplotspec().rowspan, one.get_subplotspec().colspan) for one in figure.axes]
+    assert places == [
+        (range(1), range(2)),
+        (range(1), range(2, 4)),
+        *((range(1, 2), range(k, k + 1)) for k in range(4)),
+    ]
     values = real[model.sky.is_sky]
     ends = np.quantile(values, (0.0005, 0.9995))
     assert len(sky.patches) > 10
     edges = np.array([patch.get_x() for patch in sky.patches if hasattr(patch, "get_x")])
     assert edges[0] == np.floor(ends[0]) - 0.5
+    heights = [patch.get_height() for patch in sky.patches if hasattr(patch, "get_height")]
+    assert heights == np.histogram(values, [*edges, edges[-1] + 1])[0].tolist()
     assert np.diff(edges).tolist() == pytest.approx([1.0] * (len(edges) - 1))
     assert edges[-1] + 1 == pytest.approx(np.arange(edges[0], ends[1] + 1, 1.0)[-1])
     np.testing.assert_allclose([line.get_xydata().T for line in noise.lines], [twin.noise_dn[[0, k]] for k in (1, 2)])
