@@ -367,8 +367,8 @@ def test_a_readout_time_is_searched_with_the_images_that_are_identified(monkeypa
     # The attitude was judged with another readout time.
     assert first.matches.notes == (OWN, Note(NoteKind.ATTITUDE, "of 5"))
     assert second.matches.notes == (OWN, Note(NoteKind.ATTITUDE, "of 6"))
-    with pytest.raises(CalibrationError, match=r"b\.png: unknown"):
-        identified_with_readout([Photo("a.png", at_once=False), Photo("b.png", at_once=False)], "auto")
+    with pytest.raises(CalibrationError, match=r"c\.png: unknown"):
+        identified_with_readout([Photo(f"{name}.png", at_once=False) for name in "abc"], "auto")
     assert len(identified_with_readout([Photo("a.png"), Photo("b.png", at_once=False)], "auto")) == 2
 
 
