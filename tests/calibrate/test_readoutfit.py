@@ -212,6 +212,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch, found_s: list[float], std_s: float, 
 
     def best(parts, solutions, lens):
         calls["lens"].append(([len(part) for part in parts], solutions, lens))
+        assert [part.xy_px[0].tolist() for part in parts] == [[0, 1], [0, 1]]
         return "best"
 
     def joint(best_lens, solutions, parts, readout_s):
@@ -222,14 +223,14 @@ def fitted(monkeypatch: pytest.MonkeyPatch, found_s: list[float], std_s: float, 
         calls["matched"].append((detected, over.rows.readout_s))
         return replace(found, needed=found.needed + 1)
 
-    parts = [IdentifiedStars(np.zeros((n, 3)), np.zeros((n, 2))) for n in (stars - 500, 500)]
+    parts = [IdentifiedStars(np.zeros((n, 3)), np.arange(2.0 * n).reshape(n, 2)) for n in (stars - 500, 500)]
     monkeypatch.setattr(module, "_matched_again", again)
     monkeypatch.setattr(module, "require_one_camera", lambda names, cameras: calls["cameras"].append((names, cameras)))
     monkeypatch.setattr(module, "_stars_and_solutions", lambda detected, over, found: (parts, "solutions"))
     monkeypatch.setattr(module, "best_lens", best)
     monkeypatch.setattr(module, "_joint_fit", joint)
     monkeypatch.setattr(module, "_std_s", lambda fit: std_s)
-    over = [reference(turns([0.3, 0.4, 0], 0.03, "up")), reference(turns([0, 0, 0.2], 0.03, "up"))]
+    over = [reference(turns([0.3, 0.4, 0], 0.03, "up")), reference(turns([0, 0, 0.2], 0.031, "up"))]
     return fit_readout(["a", "b"], ["stars a", "stars b"], over, [matches(5), matches(6)], **more), calls
 
 
