@@ -272,12 +272,13 @@ def _references(
             if utc_s is None or site is None:
                 raise ConfigError("an attitude needs --utc, --lat and --lon: the sky turns by 15 deg an hour")
         if utc_s is None and without_inputs is not None:
-            references.append(without_inputs if not notes else replace(without_inputs, notes=notes))
+            shares_notes = notes == without_inputs.notes
+            references.append(without_inputs if shares_notes else replace(without_inputs, notes=notes))
         elif utc_s is None or site is None:
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
             scale = sky.refraction_scale(replace(Site(0.0, 0.0), **air))
             references.append(ImageReference(stars, None, catalogue, notes, scale, is_by_exif=False))
-            without_inputs = references[-1] if utc_s is None else None
+            without_inputs = references[-1] if utc_s is None else without_inputs
         else:
             stars = ReferenceStars.over(sky, utc_s, replace(site, **air))
             if recorded is not None:

@@ -193,7 +193,7 @@ def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:
     """
     angles = SIDEREAL_RAD_PER_S * exposure_s * (fraction - 0.5)
     pole = np.array([0.0, 0.0, 1.0])
-    return np.array([C_camera_eq @ matrix_from_quaternion(quaternion_from_turn(-angle * pole)) for angle in angles])
+    return np.array([C_camera_eq @ matrix_from_quaternion(quaternion_from_turn(angle * pole)) for angle in angles])
 
 
 def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[Any], of_catalogue: NDArray[Any]) -> Twin:
