@@ -16,8 +16,11 @@ from glstar.calibrate.sensor.misfit import Measurement
 from glstar.calibrate.sensor.misfitmeasurement import (
     _brightness_map,
     _corner_loss,
+    _fit_radial,
     _gradient,
+    _growth,
     _patch_noise,
+    _weighted_median,
     corner_distance,
     measure_ellipticity,
     measure_misfit,
@@ -395,3 +398,98 @@ def test_the_brightness_of_wider_stars_is_not_underestimated() -> None:
 
 def replace_stars(stars: Stars, **given: object) -> Stars:
     return Stars(**vars(stars) | given)
+
+
+def test_wings_are_weighted_means_of_what_exceeds_each_gaussian(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stars that have no profile, or whose fit did not converge, do not count; weights grow to a ratio of 60."""
+    rng = np.random.default_rng(12)
+    chosen, signal = np.arange(20, 32), np.linspace(45, 75, 12)
+    sigma, peak = rng.uniform(1.1, 1.6, 12), rng.uniform(300, 900, 12)
+    profiles = [
+        None if k == 4 else tuple(rng.uniform(0.2, 9.0 if part == 0 else 1.0, 80) for part in range(3))
+        for k in range(12)
+    ]
+    fits = SimpleNamespace(
+        sigma_px=sigma, peak_dn=peak, xy_px=rng.uniform(0, 90, (12, 2)), converged=np.arange(12) != 6
+    )
+    calls = []
+
+    def fit_stars(above, usable, xy_px, *, start_sigma_px, only):
+        calls.append((above, usable, xy_px, start_sigma_px, only))
+        return fits
+
+    def star_profile(above, usable, xy_px, star, sigma_px, centre):
+        k = star - 20
+        assert (sigma_px, centre.tolist()) == (sigma[k], fits.xy_px[k].tolist())
+        return profiles[k]
+
+    monkeypatch.setattr(misfitmeasurement, "fit_stars", fit_stars)
+    monkeypatch.setattr(misfitmeasurement, "_star_profile", star_profile)
+    pixels = np.full((30, 40), 70.0)
+    pixels[2, 3], pixels[4, 5] = 0.979 * 4095, 0.981 * 4095
+    detected = SimpleNamespace(background=SimpleNamespace(level_dn=np.full((30, 40), 20.0)), xy_px="places")
+    found, stacked = misfitmeasurement.measure_wings(picture(pixels), detected, chosen, 1.4, signal)
+    above, usable, places, start_px, only = calls[0]
+    np.testing.assert_array_equal(above, pixels - 20)
+    assert np.argwhere(~usable).tolist() == [[4, 5]]
+    assert (places, start_px, only is chosen) == ("places", 1.4, True)
+    wings, weights, rows = [], [], []
+    for k in sorted(set(range(12)) - {4, 6}):
+        radius, light, gaussian = profiles[k]
+        outside = (radius >= 3) & (radius < 8)
+        # The area of the ring, px^2, in sigma as recorded, over the flux of the Gaussian.
+        ring = np.pi * (64 - 9) * (sigma[k] ** 2 + 1 / 12)
+        wings.append(ring * np.mean((light - peak[k] * gaussian)[outside]) / (2 * np.pi * sigma[k] ** 2 * peak[k]))
+        weights.append(min(signal[k], 60.0) ** 2)
+        recorded = peak[k] * sigma[k] ** 2 / (sigma[k] ** 2 + 1 / 12)
+        parts = [(radius >= 0.5 * n) & (radius < 0.5 * n + 0.5) for n in range(16)]
+        rows.append([np.mean(light[part]) / recorded if part.any() else np.nan for part in parts])
+    values, heavy = np.array(wings), np.array(weights)
+    assert found.value == pytest.approx(_weighted_median(values, heavy), rel=1e-9)
+    some = np.random.default_rng(0).integers(0, 10, (200, 10))
+    assert found.standard_error == pytest.approx(
+        np.std([_weighted_median(values[k], heavy[k]) for k in some]), rel=1e-9
+    )
+    np.testing.assert_allclose(stacked.brightness, np.nanmedian(rows, axis=0), rtol=1e-9)
+
+
+def radial_surface(count: int, seed: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    offset = rng.uniform(-0.8, 0.8, (count, 2))
+    r2 = (offset**2).sum(axis=1)
+    values = 1.3 + 0.1 * offset[:, 0] - 0.2 * offset[:, 1] + 0.4 * r2 + 0.05 * rng.standard_normal(count)
+    values[:5] += 2.0
+    return offset, r2, values
+
+
+def test_a_radial_fit_solves_its_weighted_equations() -> None:
+    offset, r2, values = radial_surface(80, 13)
+    weights = np.random.default_rng(14).uniform(0.2, 3.0, 80)
+    p, covariance = _fit_radial(offset, values, weights)
+    design = np.column_stack([np.ones(80), offset, r2])
+    residual = values - design @ p
+    relative = weights / weights.mean()
+    scaled = np.abs(residual) * np.sqrt(relative)
+    robust = relative * np.minimum(1, 1.5 * 1.4826 * np.median(scaled) / scaled)
+    np.testing.assert_allclose(design.T @ (robust * residual), 0, atol=1e-4)
+    inverse = np.linalg.inv(design.T @ np.diag(robust) @ design)
+    meat = design.T @ np.diag((robust * residual) ** 2) @ design
+    np.testing.assert_allclose(covariance, inverse @ meat @ inverse * 80 / 76, rtol=1e-3)
+
+
+def test_the_growth_is_weighted_with_the_signal_up_to_sixty() -> None:
+    offset, r2, values = radial_surface(80, 15)
+    axis, corner = np.array([140.0, 90.0]), np.hypot(299 - 140, 199 - 90)
+    signal = np.linspace(20, 100, 80)
+    good = np.arange(80) % 4 != 0
+    image = SimpleNamespace(pixels_dn=np.zeros((200, 300)))
+    stars = Stars(xy_px=axis + offset * corner, sigma_px=values)
+    found, width = _growth(image, stars, good, signal, axis)
+    p, covariance = _fit_radial(offset[good], values[good], np.minimum(signal[good], 60.0) ** 2)
+    assert found.value == pytest.approx(p[3] / p[0], rel=1e-9)
+    assert found.standard_error == pytest.approx(np.sqrt(covariance[3, 3]) / p[0], rel=1e-9)
+    expected = 1 + found.value * r2
+    np.testing.assert_allclose(width, expected / np.median(expected[good]), rtol=1e-9)
+    # A width below 0 on the axis is none.
+    found, width = _growth(image, Stars(xy_px=stars.xy_px, sigma_px=-values), good, signal, axis)
+    assert (found, width.tolist()) == (None, [1.0] * 80)
