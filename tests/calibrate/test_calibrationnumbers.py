@@ -181,8 +181,8 @@ def test_a_response_that_is_not_linear_is_noted_with_its_gamma() -> None:
     ends = [100 * (10 ** (-0.08 * (m - 4.0)) - 1) for m in (bright, faint)]
     assert text == (
         "brightness falls by 0.32 dex per magnitude and flux by 0.40: the response is not linear, but has a gamma of"
-        " 0.80 (JPEG, processing): take raw images, or try --gamma 1.2; the calibration holds at 4.0 mag, and the simulated"
-        f" peaks are off by {ends[0]:+.0f} % at {bright:.1f} mag, {ends[1]:+.0f} % at {faint:.1f} mag"
+        " 0.80 (JPEG, processing): take raw images, or try --gamma 1.2; the calibration holds at 4.0 mag, and the"
+        f" simulated peaks are off by {ends[0]:+.0f} % at {bright:.1f} mag, {ends[1]:+.0f} % at {faint:.1f} mag"
     )
     flat = replace(fit, slope_dex_per_mag=-0.02, slope_low_dex_per_mag=-0.03, slope_high_dex_per_mag=-0.01)
     assert "try --gamma 10;" in doubts(part, fit=flat)[0]
