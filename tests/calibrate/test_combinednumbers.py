@@ -257,8 +257,8 @@ def test_what_is_written_of_several_photographs() -> None:
     assert "table.csv" in text
     assert "table.csv" not in combined.to_toml()
     # Stars on one image only do not repeat.
-    apart = combine((handmade(offsets(20)), handmade(offsets(20), name="b.png", first=40)))
-    assert apart.to_json()["repeat_mag"] is None
+    lone = combine((handmade(offsets(20)), handmade(offsets(20), name="b.png", first=40)))
+    assert lone.to_json()["repeat_mag"] is None
 
 
 def test_photographs_of_other_depths_are_not_of_one_camera() -> None:

@@ -108,7 +108,7 @@ def test_what_is_no_number_is_refused(call, message: str) -> None:
         BASE | {"xi": 0.0, "distortion": None, "D": []},
     ],
 )  # fmt: skip
-def test_all_ways_to_write_a_pinhole_are_read(keys: dict) -> None:
+def test_a_pinhole_is_read_in_all_spellings(keys: dict) -> None:
     assert read(keys) == (PINHOLE, ())
 
 

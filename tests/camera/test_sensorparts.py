@@ -1,4 +1,4 @@
-"""Parts of a sensor: fixed pattern, tone curve, colours and shapes, each number by another way."""
+"""Parts of a sensor: fixed pattern, tone curve, colours and shapes, against laws, standards and moments."""
 
 import json
 from dataclasses import replace
