@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import f as f_law
 
 from glstar.arrays import robust_std
-from glstar.calibrate.notes import NoteKind
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.sensor import brightness
 from glstar.calibrate.sensor.brightness import (
     AirTerm,
@@ -140,6 +140,30 @@ def test_all_terms_of_the_brightness_are_found() -> None:
     assert bent.magnitude_slope.value == pytest.approx(-0.1, abs=0.01)
 
 
+def test_terms_are_those_of_a_robust_fit_with_the_noise_of_each_star() -> None:
+    vmag, bv, r = stars_of(50, seed=4)
+    rng = np.random.default_rng(5)
+    part = rng.uniform(0.01, 0.4, 50)
+    off = -12.0 - 0.6 * bv + 0.7 * r**2 + 1.0857 * part * rng.standard_normal(50)
+    flux = 10 ** (-0.4 * (vmag + off))
+    error = part * flux
+    error[3] = np.inf  # as large as the flux
+    error[5] = 3 * flux[5]  # no noise is larger than that
+    terms = fit_brightness_terms(flux, error, vmag, bv, r, np.ones(50, bool))
+    noise = 1.0857 * np.where(np.arange(50) == 3, 1.0, np.minimum(error / flux, 1.0))
+    names = [name for name in ("colour", "loss", "curvature") if getattr(terms, {"loss": "loss_mag"}.get(name, name))]
+    columns = {"colour": bv, "loss": r**2, "curvature": bv**2}
+    design = np.column_stack([np.ones(50), *(columns[name] for name in names)])
+    p, sd, scatter = robust_fit(design, off, noise)
+    assert (terms.zero_mag, terms.zero_error_mag, terms.scatter_mag) == pytest.approx((p[0], sd[0], scatter), rel=1e-9)
+    for k, name in enumerate(names, start=1):
+        found = getattr(terms, {"loss": "loss_mag"}.get(name, name))
+        assert (found.value, found.standard_error) == pytest.approx((p[k], sd[k]), rel=1e-9)
+    q, q_sd, _ = robust_fit(np.column_stack([design, vmag - np.median(vmag)]), off, noise)
+    slope = terms.magnitude_slope
+    assert (slope.value, slope.standard_error) == pytest.approx((q[-1], q_sd[-1]), rel=1e-9)
+
+
 def test_a_term_needs_four_stars_and_a_span() -> None:
     def terms(count: int, bv_span: float = 1.8, r_span: float = 1.0, v_span: float = 4.0, loss: float = 0.6):
         bv, r = np.linspace(0.1, 0.1 + bv_span, count), np.sqrt(np.linspace(0, r_span, count)[::-1])
@@ -214,6 +238,11 @@ def test_a_given_extinction_leaves_the_median_above_the_air() -> None:
         f' {mass.min():.2f} to {mass.max():.2f}) are taken out; simulate with [sky] extinction = "standard"'
     )
     assert "± 0.012, fitted; 7 stars, air masses 1.20 to 2.30" in AirTerm(0.3, 0.012, 1.2, 2.3, 7).note.text
+    # The image is as bright everywhere as its stars above the air: nothing is left to the corners.
+    assert np.nanmax(np.abs(found.misfit.brightness_map_mag - np.nanmedian(found.misfit.brightness_map_mag))) < 0.03
+    # Notes that are not of the misfit stay, after that of the air.
+    remark = Note(NoteKind.CAMERA, "a remark")
+    assert above_air(replace(part, notes=(remark,)), 0.3).notes == (note, remark)
     # Stars without light and those that are not used do not count.
     used = np.arange(60) % 2 == 0
     peak_dn = part.stars.peak_dn.copy()
@@ -255,6 +284,36 @@ def test_the_extinction_of_several_photographs_is_one_fit() -> None:
         )
         assert part.air["stars"] == 110
     assert p[2] == pytest.approx(0.3, abs=4 * error[2])
+
+
+def test_the_message_for_too_few_stars_has_the_widest_air_masses() -> None:
+    """One image has its own; of several, the one with the largest span is named."""
+    for parts, where in (
+        ((behind_air(19),), "the image has"),
+        ((behind_air(7), behind_air(12, first=7)), "the images have, at best on one of them,"),
+        ((behind_air(12, first=7), behind_air(7)), "the images have, at best on one of them,"),
+    ):
+        spans = [np.percentile(masses_of(part), [5, 95]) for part in parts]
+        low, high = max(spans, key=np.ptp)
+        with pytest.raises(CalibrationError) as caught:
+            above_air_together(parts)
+        assert str(caught.value) == (
+            f"the extinction needs 20 stars whose air masses differ by 0.5, and {where} 19 of {low:.2f} to {high:.2f}:"
+            " take a wider image down to low altitudes, or give the extinction per air mass, as --extinction 0.28"
+        )
+        assert (caught.value.stars_used, caught.value.stars_needed) == (19, 20)
+
+
+@pytest.mark.parametrize("count", [20, 29])
+def test_twenty_stars_have_terms_of_colour_and_distance(count: int) -> None:
+    part = behind_air(count)
+    distance2 = corner_distance(part.image, part.matches, part.stars.xy_px) ** 2
+    more = [one - np.median(one) for one in (part.reference.stars.bv, distance2)]
+    design = np.column_stack([np.ones(count), masses_of(part), *more])
+    noise = 1.0857 * part.stars.noise_dn / part.stars.peak_dn
+    p, error, _ = robust_fit(design, part.off_mag, noise)
+    air = above_air(part).air
+    assert (air["zenith_extinction_mag"], air["standard_error_mag"]) == pytest.approx((p[1], error[1]), rel=1e-6)
 
 
 def test_an_extinction_needs_twenty_stars_and_a_span_of_half_an_air_mass() -> None:

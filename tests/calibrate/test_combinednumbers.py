@@ -7,18 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from glstar import __version__
 from glstar.arrays import robust_std
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.sensor.combine import (
     Observations,
+    _brightness,
     _clipped_std,
     _deviations_mag,
     _error_mag,
+    _images,
     _measured_well,
     _off_mag,
     _repeat_mag,
+    _repeatability,
     combine,
     solve_brightness,
 )
@@ -195,12 +199,12 @@ def test_differences_between_photographs_are_noted() -> None:
     assert fainter.text == "b.png is 0.30 mag fainter than the others: haze, or a different exposure than given"
     assert fainter.kind is NoteKind.COMBINATION
     own = offsets(24)
-    for off, noted in ((0.16, False), (0.24, True)):
+    for off, noted in ((0.194, False), (0.209, True)):
         # Half of the difference to either side of the median.
         notes = combine((handmade(own), handmade(own + off, name="b.png"))).notes
         texts = [note.text for note in notes]
-        assert any("a.png is 0.12 mag brighter" in text for text in texts) == noted
-        assert any("b.png is 0.12 mag fainter" in text for text in texts) == noted
+        assert any("a.png is 0.10 mag brighter" in text for text in texts) == noted
+        assert any("b.png is 0.10 mag fainter" in text for text in texts) == noted
     for difference_dn, noted in ((7.8, False), (8.2, True)):
         other = handmade(own, name="b.png")
         other = replace(other, sensor=replace(other.sensor, sky_mean_dn=50 + difference_dn))
@@ -265,3 +269,81 @@ def test_photographs_of_other_depths_are_not_of_one_camera() -> None:
     own = offsets(24)
     with pytest.raises(CalibrationError, match=r"a\.png has 12 bits and b\.png 10: not one camera"):
         combine((handmade(own), handmade(own, name="b.png", bits=10)))
+
+
+def test_a_common_sensor_is_that_of_the_median_photograph() -> None:
+    """The first is fainter by 0.3 mag than the two others: the common sensor is brighter than that of the first."""
+    own = offsets(24)
+    parts = handmade(own + 0.3), handmade(own, name="b.png"), handmade(own, name="c.png")
+    combined = combine(parts)
+    np.testing.assert_allclose(combined.fainter_mag, [0.3, 0.0, 0.0], rtol=0, atol=1e-3)
+    first = parts[0].brightness
+    peak = float(first.peak_dn(np.array([combined.sensor.reference_vmag]))[0])
+    assert combined.sensor.reference_peak_dn == pytest.approx(peak * 10**0.12, rel=1e-3)
+
+
+def test_the_plots_of_several_photographs_hold_their_measurements() -> None:
+    """Brightness scaled to one exposure, and each star against the mean of its other images."""
+    first, second, third = three()
+    peak = second.stars.peak_dn.copy()
+    peak[4] = -1.0
+    flags = np.arange(24)
+    second = with_stars(second, peak_dn=peak, saturated=flags == 6, blended=flags == 8)
+    combined = combine((first, second, third))
+    axes = Figure().subplots(2, 2)
+    _brightness(axes[0, 0], combined)
+    lines = axes[0, 0].get_lines()
+    assert len(lines) == 4
+    for line, part, fainter in zip(lines[:3], combined.parts, combined.fainter_mag, strict=True):
+        good = ~part.stars.saturated & ~part.stars.blended & (part.stars.peak_dn > 0)
+        x, y = line.get_data()
+        np.testing.assert_allclose(x, part.stars.vmag[good], rtol=1e-12)
+        scale = 0.5 / part.sensor.reference_exposure_s * 10 ** (0.4 * fainter)
+        np.testing.assert_allclose(y, part.stars.peak_dn[good] * scale, rtol=1e-9)
+        assert line.get_label() == part.image.path.name
+    m, law = lines[3].get_data()
+    np.testing.assert_allclose(law, combined.sensor.peak_dn(m, 0.5), rtol=1e-12)
+    assert len(axes[0, 0].get_legend().get_texts()) == 4
+    _repeatability(axes[0, 1], axes[1, 0], combined)
+    table = combined.table
+    row = {int(number): k for k, number in enumerate(table.star_id)}
+    residuals = []
+    for line, part, fainter in zip(axes[0, 1].get_lines()[:3], combined.parts, combined.fainter_mag, strict=True):
+        stars, others, own = part.stars, [], []
+        for k, number in enumerate(stars.star_id.tolist()):
+            seen = number in row and table.images[row[number]] > 1
+            if seen and not stars.saturated[k] and not stars.blended[k] and stars.peak_dn[k] > stars.noise_dn[k]:
+                exposure_s = part.sensor.reference_exposure_s
+                expected = float(combined.sensor.peak_dn(stars.vmag[k], exposure_s))
+                own.append(-2.5 * np.log10(stars.peak_dn[k] / expected) - fainter)
+                count, mean = table.images[row[number]], table.off_mag[row[number]]
+                others.append((count * mean - own[-1]) / (count - 1))
+        np.testing.assert_allclose(line.get_data(), [others, own], rtol=0, atol=1e-9)
+        residuals += [a - b for a, b in zip(own, others, strict=True)]
+    limit = max(0.3, 1.1 * np.abs(table.off_mag).max())
+    assert axes[0, 1].get_xlim() == pytest.approx((-limit, limit))
+    assert axes[0, 1].get_ylim() == pytest.approx((-1.5 * limit, 1.5 * limit))
+    bars = [patch.get_height() for patch in axes[1, 0].patches[:60]]
+    edges = np.linspace(-1.5 * limit, 1.5 * limit, 61)
+    before = np.concatenate([line.get_data()[1] for line in axes[0, 1].get_lines()[:3]])
+    assert bars == np.histogram(before, edges)[0].tolist()
+    outline = axes[1, 0].patches[60].get_xy()
+    assert outline[:, 1].max() == np.histogram(residuals, edges)[0].max()
+    _images(axes[1, 1], combined)
+    assert [patch.get_width() for patch in axes[1, 1].patches] == pytest.approx(combined.fainter_mag.tolist())
+    limit = 1.2 * np.abs(combined.fainter_mag).max()
+    assert axes[1, 1].get_xlim() == pytest.approx((-limit, limit))
+
+
+@pytest.mark.parametrize(("images", "has_legend"), [(10, True), (11, False)])
+def test_ten_photographs_have_a_legend(images: int, has_legend: bool) -> None:
+    parts = tuple(handmade(np.zeros(5), name=f"{k}.png") for k in range(images))
+    combined = combine(parts)
+    axes = Figure().subplots(2, 2)
+    _brightness(axes[0, 0], combined)
+    assert (axes[0, 0].get_legend() is not None) == has_legend
+    # Photographs and stars that are all alike have limits of their own.
+    _repeatability(axes[0, 1], axes[1, 0], combined)
+    _images(axes[1, 1], combined)
+    assert axes[0, 1].get_xlim() == pytest.approx((-0.3, 0.3))
+    assert axes[1, 1].get_xlim() == pytest.approx((-0.1, 0.1))
