@@ -290,7 +290,7 @@ def tilt_homography(coefficients: Coefficients) -> Float:
 # The coefficients of each model, in the order of OpenCV or Kalibr.
 COEFFICIENTS = {name: model.coefficients for name, model in LENS_MODELS.items()}
 # Numbers of coefficients of the second step that do not split a pair such as p1, p2.
-_COUNTS_WITH_WHOLE_PAIRS = (2, 4, 5, 6, 7, 8, 12, 14)
+_COUNTS_WITH_WHOLE_PAIRS = (4, 5, 6, 7, 8, 12, 14)
 # Margin of the limit, as a difference of cosines: directions along the limit have no position.
 _LIMIT_MARGIN = 1e-9
 # Largest angle of the tables of tan(theta): the tangent of 90 deg is infinite.
@@ -393,7 +393,8 @@ class Lens:
             NaN from the `limit_rad` on.
         """
         angle = np.asarray(angle_rad, dtype=np.float64)
-        r, _ = _first_step(self, np.where(angle < self.limit_rad, angle, np.nan))
+        within = np.where(angle < self.limit_rad, angle, np.nan)
+        r = np.tan(within) if LENS_MODELS[self.model].radius is None else _first_step(self, within)[0]
         return np.asarray(r * _brown_factor(self.brown, r * r)[0])
 
     def project(self, direction: ArrayLike) -> Float:
@@ -564,12 +565,10 @@ def _transformed(homography: Float, xy: Float) -> Float:
 
 
 def _first_step(lens: Lens, angle_rad: Float) -> tuple[Float, Float]:
-    """Return the distances from the axis after the first step, and their derivatives."""
-    formulas = LENS_MODELS[lens.model]
-    if formulas.radius is not None:
-        return formulas.radius(lens.coefficients, angle_rad)
-    tangent = np.tan(angle_rad)
-    return tangent, 1 + tangent * tangent
+    """Return the distances from the axis after the first step of `LensFormulas.radius`, and their derivatives."""
+    radius = LENS_MODELS[lens.model].radius
+    assert radius is not None
+    return radius(lens.coefficients, angle_rad)
 
 
 @lru_cache(maxsize=64)

@@ -22,6 +22,7 @@ LENSES = [
     Lens("rational", (0.3, 0.1, 1e-3, -2e-3, 0.02, 0.6, 0.2, 0.03, 1e-3, -2e-3, 3e-3, 1e-3, 0.05, -0.03)),
     Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4)),
     Lens("fisheye", ()),
+    Lens("rational", (0.3, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05, 0.0)),
 ]
 every_lens = pytest.mark.parametrize("lens", LENSES, ids=str)
 MILLIONTH_PX = 1e-6
@@ -270,6 +271,54 @@ def test_a_camera_rotated_by_90_deg_has_its_lens_rotated(lens: Lens) -> None:
 def test_an_invalid_lens_is_refused(model, coefficients, words: str) -> None:
     with pytest.raises(CalibrationError, match=words):
         Lens(model, coefficients)
+
+
+def test_the_limits_of_coefficients_and_of_the_image_circle_are_valid() -> None:
+    for coefficients in ((-0.999999, 0.0), (0.3, 1.0), (1.7, 0.4)):
+        assert Lens("double_sphere", coefficients).coefficients == coefficients
+    assert Lens("eucm", (0.4, 1e-9)).coefficients == (0.4, 1e-9)
+    for model, coefficients in (("double_sphere", (0.3, 1.000001)), ("double_sphere", (0.3, -1e-6)), ("omni", (-1.0,))):
+        with pytest.raises(CalibrationError, match="the lens has"):
+            Lens(model, coefficients)
+    for angle_deg in (0.0, -1.0, 180.1):
+        with pytest.raises(CalibrationError, match=f"ends {angle_deg:g} deg off the axis; it is up to 180 deg"):
+            Lens("fisheye", (), np.deg2rad(angle_deg))
+    assert Lens("fisheye", ()).keys == {"lens": "fisheye", "distortion": []}
+    assert Lens("fisheye", (0.1,), np.deg2rad(93.5)).keys == {
+        "lens": "fisheye",
+        "distortion": [0.1],
+        "max_angle_deg": 93.5,
+    }
+    assert str(Lens("plumb_bob", (-0.25, 0.0, 1e-3))) == "plumb_bob k1=-0.25 p1=0.001"
+
+
+@pytest.mark.parametrize(
+    "lens", [*BEYOND_90[:2], Lens("plumb_bob", (-0.1,)), Lens("double_sphere", (1.6, 0.3))], ids=str
+)
+def test_a_direction_at_the_limit_has_no_position(lens: Lens) -> None:
+    limit = lens.limit_rad
+    at = [[np.sin(theta), 0.0, np.cos(theta)] for theta in (limit, limit - 1e-4)]
+    assert np.isfinite(lens.project(at)).all(axis=1).tolist() == [False, True]
+    assert np.isnan(lens.radius([limit, limit + 0.1])).all()
+    # The image of a direction on the x axis is its distance from the axis.
+    theta = np.linspace(0, 0.99 * limit, 7)
+    on_axis = lens.project(np.column_stack([np.sin(theta), 0 * theta, np.cos(theta)]))
+    np.testing.assert_allclose(lens.radius(theta), on_axis[:, 0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", range(1, 15))
+def test_a_rotated_lens_has_whole_pairs_of_coefficients(count: int) -> None:
+    every = (0.1, 0.02, 1e-3, 2e-3, 0.01, 0.03, 0.02, 0.01, 1e-3, 2e-3, 3e-3, 4e-3, 0.01, 0.02)
+    rotated = Lens("rational", every[:count]).rotated_by_quarter().coefficients
+    whole = {1: 1, 2: 2, 3: 4, 9: 12, 10: 12, 11: 12, 13: 14}.get(count, count)
+    assert len(rotated) == whole
+    if count > 2:
+        # Tangential coefficients are a vector (p2, p1) in the image plane.
+        p1, p2 = every[2], every[3] if count > 3 else 0.0
+        if count < 13:
+            assert rotated[2:4] == pytest.approx((p2, -p1), rel=1e-12)
+    omni = Lens("omni", (1.2, *every[:3])).rotated_by_quarter().coefficients
+    assert omni == pytest.approx((1.2, 0.1, 0.02, 0.0, -1e-3), rel=1e-12)
 
 
 # --- rectified images -------------------------------------------------------------------------------------------------

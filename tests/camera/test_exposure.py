@@ -204,3 +204,41 @@ def test_what_no_exposure_can_be_names_its_key(keys: dict, key: str) -> None:
     assert caught.value.key == f"exposure.{key}"
     allowed = {"path_tolerance_px": 0.0, "faintest_dn": 0.0, "readout_s": 0.0, "frames": 1, "gap_s": 0.0}
     assert getattr(Exposure(0.0, 1.0, **allowed), key) is not None
+
+
+def test_an_exposure_has_the_defaults_of_the_manual() -> None:
+    plain = Exposure(5.0, 0.7)
+    assert plain == Exposure(5.0, 0.7, 200.0, "auto", 0.0, "down", 0.01, 0.02, 1, 0.0, "sum")
+
+
+def test_a_stack_has_up_to_1000_exposures() -> None:
+    assert Exposure(0.0, 0.1, frames=1000).frames == 1000
+    assert Exposure(0.0, 0.1, frames=2).frames == 2
+    with pytest.raises(ConfigError, match=r"exposure\.frames: must be a whole number from 1 to 1000, not 1001"):
+        Exposure(0.0, 0.1, frames=1001)
+
+
+@pytest.mark.parametrize("key", ["path_tolerance_px", "faintest_dn", "gap_s"])
+@pytest.mark.parametrize("number", [np.inf, np.nan, -0.1])
+def test_a_limit_that_is_negative_or_not_finite_is_refused(key: str, number: float) -> None:
+    with pytest.raises(ConfigError, match=rf"exposure\.{key}: must be a number.*, 0 or more, not {number}"):
+        Exposure(0.0, 1.0, **{key: number})
+
+
+def test_the_time_that_a_readout_needs_is_rounded_up() -> None:
+    with pytest.raises(ConfigError) as caught:
+        Exposure(0.0, 0.25, frames=3, gap_s=0.125, readout_s=0.5000004)
+    assert str(caught.value) == (
+        "exposure.gap_s: is 0.125, so that short exposures follow every 0.375 s, but the rolling shutter takes 0.5 s"
+        " to read one; take at least 0.250001"
+    )
+
+
+def test_a_span_is_that_of_all_rows_and_short_exposures() -> None:
+    stack = Exposure(50.0, 0.25, frames=5, gap_s=0.375, readout_s=0.125)
+    assert (stack.span_s, stack.mid_utc_s, stack.stop_utc_s) == (2.875, 51.4375, 52.875)
+    assert stack.min_sub_exposures == 575
+    assert (stack.first.frames, stack.first.span_s) == (1, 0.375)
+    np.testing.assert_array_equal(stack.short_times_s()[:, 0], 50 + 0.625 * np.arange(5))
+    np.testing.assert_array_equal(stack.short_times_s()[:, 1], 50.375 + 0.625 * np.arange(5))
+    np.testing.assert_array_equal(stack.sub_utc_s(2), [50.71875, 52.15625])

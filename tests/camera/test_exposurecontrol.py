@@ -101,3 +101,70 @@ def test_a_frame_that_is_not_measured_keeps_what_was_decided_last() -> None:
 
     assert later.queue == (second, third, third)
     assert (later.product_s, later.settings) == (state.product_s, second)
+
+
+# Every number differs, and nothing is 1: the shortest product is 0.003 s, the longest 4 s.
+ODD = ExposureControl("mean", 0.25, 90.0, (0.002, 0.5), (1.5, 8.0), 3, 0.36)
+
+
+@pytest.mark.parametrize(
+    ("product_s", "measured_s", "level", "expected_s"),
+    [
+        (0.1, 0.2, 0.5, 0.1),  # half of what was measured: the present product is right
+        (0.1, 0.2, 0.5 / 1.019, 0.1),  # 1.9 % are left alone,
+        (0.1, 0.2, 0.5 * 1.019, 0.1),
+        (0.1, 0.2, 0.5 / 1.021, 0.1 + 0.6 * 0.0021),  # and 2.1 % not: near the target at the root of the speed
+        (0.1, 0.2, 0.5 * 1.2 / 1.21, 0.1),
+        (0.1 / 1.21, 0.2, 0.5, 0.1 / 1.21 + 0.6 * (0.1 - 0.1 / 1.21)),
+        (0.081, 0.2, 0.5, 0.081 + 0.6 * 0.019),  # 19 % of what is wanted are near,
+        (0.079, 0.2, 0.5, 0.079 + 0.36 * 0.021),  # 21 % are not
+        (0.119, 0.2, 0.5, 0.119 - 0.6 * 0.019),
+        (0.121, 0.2, 0.5, 0.121 - 0.36 * 0.021),
+        (0.1, 0.2, 0.001, 0.1 + 0.36 * 1.9),  # ten times as much at most
+        (0.1, 0.2, 0.02, 0.1 + 0.36 * 1.9),
+        (0.1, 0.2, 0.026, 0.1 + 0.36 * (0.2 * 0.25 / 0.026 - 0.1)),
+        (2.0, 3.0, 0.1, 2.0 + 0.36 * 2.0),  # the longest exposure with the largest gain
+        (0.01, 0.002, 0.9, 0.01 - 0.36 * 0.007),  # the shortest with the smallest
+    ],
+)
+def test_the_product_of_time_and_gain_goes_to_the_target(
+    product_s: float, measured_s: float, level: float, expected_s: float
+) -> None:
+    assert ODD.product_after(product_s, measured_s, level) == pytest.approx(expected_s, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("product_s", "expected"),
+    [
+        (0.1234567, (0.082304, 1.5)),  # whole microseconds
+        (0.0012, (0.002, 1.5)),
+        (0.75, (0.5, 1.5)),
+        (0.7512345678, (0.5, 1.5025)),  # four decimals
+        (3.9, (0.5, 7.8)),
+        (5.0, (0.5, 8.0)),
+    ],
+)
+def test_a_product_is_divided_into_time_first(product_s: float, expected: tuple[float, float]) -> None:
+    assert ODD.divided(product_s) == expected
+
+
+@pytest.mark.parametrize(("gain", "first"), [(1.0, 1.5), (2.5, 2.5), (9.0, 8.0)])
+def test_control_begins_with_the_longest_time_and_the_gain_of_the_sensor(gain: float, first: float) -> None:
+    state = ControlledExposure.begun(ODD, gain)
+    assert (state.product_s, state.queue, state.settings) == (0.5 * first, ((0.5, first),) * 3, (0.5, first))
+    # By default the frame that is measured has the settings.
+    after = state.after(0.5)
+    assert after.product_s == ODD.product_after(0.5 * first, 0.5 * first, 0.5)
+    assert after.queue == (*state.queue[1:], ODD.divided(after.product_s))
+    assert state.after(0.5, 0.3).product_s == ODD.product_after(0.5 * first, 0.3, 0.5)
+
+
+def test_a_frame_of_two_that_is_not_measured_keeps_the_last_decision() -> None:
+    state = ControlledExposure(ODD, 0.1, ((0.1, 2.0), (0.2, 3.0), (0.3, 4.0), (0.4, 5.0)))
+    assert state.unmeasured().queue == ((0.2, 3.0), (0.3, 4.0), (0.4, 5.0), (0.4, 5.0))
+
+
+def test_a_level_is_the_mean_over_the_range() -> None:
+    pixels = np.array([[200, 300, 700], [260, 480, 1060]], dtype=np.uint16)
+    assert ODD.level(pixels, 60.0, 1060.0) == pytest.approx(0.44, rel=1e-12)
+    assert replace(ODD, metering="percentile", percentile=50.0).level(pixels, 60.0, 1060.0) == pytest.approx(0.24)

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from glstar.camera.model import Camera, Mount
+from glstar.camera.distortion import Lens
+from glstar.camera.model import AttitudeError, Camera, Mount, directions_seen
 from glstar.errors import CalibrationError
 
 # Body axes: forward, right, down.
@@ -151,3 +153,122 @@ def test_a_camera_matrix_with_a_number_that_is_not_finite_is_refused(key: str, n
 def test_an_image_without_pixels_is_refused(width_px: int, height_px: int) -> None:
     with pytest.raises(CalibrationError, match="has no pixels"):
         Camera(width_px, height_px, 967.7, 967.7, 506.5, 379.5)
+
+
+def test_an_image_of_one_row_or_column_is_valid() -> None:
+    assert Camera(1, 760, 967.7, 967.7, 0.0, 379.5).width_px == 1
+    assert Camera(1014, 1, 967.7, 967.7, 506.5, 0.0).height_px == 1
+
+
+def test_a_position_outside_is_not_contained_without_a_margin(camera: Camera) -> None:
+    assert camera.contains([[-0.4, 3.0], [1013.4, 759.4]]).all()
+    assert not camera.contains([[-0.6, 3.0], [3.0, 759.6]]).any()
+
+
+@pytest.mark.parametrize("lens", [None, Lens("plumb_bob", (-0.2, 0.03)), Lens("fisheye", (0.02,))], ids=str)
+@pytest.mark.parametrize("axis", [(300.0, 200.0), (700.0, 200.0), (300.0, 500.0), (700.0, 500.0)])
+def test_the_field_radius_is_that_of_the_corner_opposite_to_the_axis(lens: Lens | None, axis: tuple) -> None:
+    camera = Camera(1014, 760, 967.7, 901.5, *axis, skew_px=7.0, lens=lens)
+    corner = [1013.5 if axis[0] < 500 else -0.5, 759.5 if axis[1] < 400 else -0.5]
+    x, y, z = camera.unit_vectors(corner)
+    assert camera.field_radius_rad == pytest.approx(np.arctan2(np.hypot(x, y), z), rel=1e-12)
+    seen = directions_seen(camera)
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 1013.5, 65), np.linspace(-0.5, 759.5, 65)), axis=-1)
+    np.testing.assert_allclose(camera.project(seen), grid.reshape(-1, 2), rtol=0, atol=1e-6)
+    left, right = camera.unit_vectors([[-0.5, axis[1]], [1013.5, axis[1]]])
+    between = np.arctan2(right[0], right[2]) - np.arctan2(left[0], left[2])
+    if lens is None:
+        rows = camera.normalized([[-0.5, axis[1]], [1013.5, axis[1]]])
+        between = np.arctan(rows[1, 0]) - np.arctan(rows[0, 0])
+    assert camera.horizontal_field_rad == pytest.approx(between, rel=1e-12)
+
+
+def test_the_largest_scale_of_an_image_is_that_of_its_farthest_corner() -> None:
+    camera = Camera(1014, 760, 967.7, 901.5, 300.0, 200.0)
+    field = camera.field_radius_rad
+    # Along the radius a pinhole has f / cos^2: f tan(theta) grows so.
+    assert camera.max_px_per_rad == pytest.approx(967.7 / np.cos(field) ** 2, rel=1e-12)
+    behind = Camera(1014, 760, 967.7, 901.5, 300.0, 200.0, lens=Lens("fisheye", (0.1,)))
+    angle = behind.field_radius_rad
+    # That of a circle around the corner: theta (1 + k theta^2) has the slope 1 + 3 k theta^2.
+    assert behind.max_px_per_rad == pytest.approx(967.7 * (1 + 0.3 * angle**2), rel=0.05)
+    scales = np.linalg.svd(behind.px_per_rad(directions_seen(behind)), compute_uv=False)
+    assert behind.max_px_per_rad == scales.max()
+
+
+@pytest.mark.parametrize("lens", [None, Lens("plumb_bob", (-0.2, 0.03, 1e-3, -2e-3))], ids=str)
+def test_the_scale_is_the_derivative_along_and_about_the_radius(lens: Lens | None) -> None:
+    camera = Camera(1014, 760, 967.7, 901.5, 300.0, 200.0, skew_px=7.0, lens=lens)
+    direction, step = np.array([0.2, -0.3, 0.9]) / np.sqrt(0.94), 1e-6
+    rho = np.hypot(0.2, 0.3)
+    # Away from the axis is a turn about the vector at right angles to the radius; clockwise is one about the axis,
+    # by the angle over the sine of the distance from it.
+    turns = np.array([[0.3, 0.2, 0.0], [0.0, 0.0, np.sqrt(0.94)]]) / rho
+    expected = [
+        (
+            camera.project(Rotation.from_rotvec(step * turn).apply(direction))
+            - camera.project(Rotation.from_rotvec(-step * turn).apply(direction))
+        )
+        / (2 * step)
+        for turn in turns
+    ]
+    np.testing.assert_allclose(camera.px_per_rad(direction).T, expected, rtol=1e-6)
+    on_axis = camera.px_per_rad([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(on_axis, [[967.7, 7.0], [0.0, 901.5]], rtol=0, atol=1e-9)
+
+
+ANGLES = [(0.3, -0.4, 2.0), (-2.5, 1.1, -0.7), (3.0, 0.2, -3.0)]
+
+
+@pytest.mark.parametrize("reading", ["body", "literal"])
+@pytest.mark.parametrize("angles", ANGLES)
+def test_a_mount_has_the_angles_of_its_matrix(reading, angles: tuple) -> None:
+    """SciPy turns by yaw, pitch and roll; the rows of the transpose are the axes of the camera."""
+    roll, pitch, yaw = angles
+    turned = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix().T
+    if reading == "body":
+        turned = turned[[1, 2, 0]]  # forward, right, down become right, down, forward
+    mount = Mount(roll, pitch, yaw, reading)
+    np.testing.assert_allclose(mount.C_camera_body, turned, rtol=0, atol=1e-12)
+    again = Mount.from_matrix(turned, reading=reading)
+    assert (again.roll_rad, again.pitch_rad, again.yaw_rad) == pytest.approx(angles, rel=0, abs=1e-12)
+    assert again.reading == reading
+    with pytest.raises(ValueError, match="read-only"):
+        mount.C_camera_body[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("reading", ["body", "literal"])
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+def test_in_gimbal_lock_the_roll_is_zero(reading, pitch: float) -> None:
+    mount = Mount(0.5, pitch, -0.8, reading)
+    again = Mount.from_matrix(mount.C_camera_body, reading=reading)
+    assert (again.roll_rad, again.pitch_rad) == (0.0, pytest.approx(pitch, rel=0, abs=1e-9))
+    assert again.yaw_rad == pytest.approx(-0.8 - 0.5 * np.sign(pitch), rel=0, abs=1e-9)
+    np.testing.assert_allclose(again.C_camera_body, mount.C_camera_body, rtol=0, atol=1e-9)
+
+
+def test_the_default_mount_is_that_of_the_paper() -> None:
+    assert Mount() == Mount(0.0, np.pi / 2, -np.pi / 2, "body")
+    assert Mount.from_matrix(np.eye(3)).reading == "body"
+
+
+@pytest.mark.parametrize(
+    ("right", "down", "roll"),
+    [(0.3, -0.2, 0.4), (-1.5, 2.0, -1.0), (0.0, 0.0, 0.7), (np.pi, 0.0, 0.0), (0.0, 1.2, -3.0)],
+)
+def test_an_attitude_error_is_a_turn_of_the_axis_and_one_about_it(right: float, down: float, roll: float) -> None:
+    true = Rotation.random(random_state=3).as_matrix()
+    # The axis moves right by a turn about down, and down by one about left; then the camera rolls.
+    across = Rotation.from_rotvec([-down, right, 0.0])
+    answered = (across * Rotation.from_rotvec([0.0, 0.0, roll])).as_matrix().T @ true
+    error = AttitudeError.between(true, answered)
+    assert error.boresight_rad == pytest.approx(np.hypot(right, down), rel=1e-9)
+    if right < np.pi:
+        assert (error.right_rad, error.down_rad) == pytest.approx((right, down), rel=0, abs=1e-9)
+        assert error.roll_rad == pytest.approx(roll, rel=0, abs=1e-9)
+
+
+def test_the_opposite_attitude_is_half_a_turn_away() -> None:
+    error = AttitudeError.between(np.eye(3), np.diag([-1.0, 1.0, -1.0]))
+    assert (error.right_rad, error.down_rad, error.boresight_rad) == (np.pi, 0.0, np.pi)
+    assert AttitudeError.between(np.eye(3), np.eye(3)) == AttitudeError(0.0, 0.0, 0.0)

@@ -120,7 +120,13 @@ def test_no_two_directions_have_one_position(seed: int, theta: float, azimuth: f
 
 @pytest.mark.parametrize(
     "lens",
-    [Lens("double_sphere", (0.5, 0.7)), Lens("double_sphere", (-0.3, 0.8)), Lens("eucm", (0.7, 1.2)), OMNI],
+    [
+        Lens("double_sphere", (0.5, 0.7)),
+        Lens("double_sphere", (-0.3, 0.8)),
+        Lens("double_sphere", (1.6, 0.3)),
+        Lens("eucm", (0.7, 1.2)),
+        OMNI,
+    ],
     ids=str,
 )
 def test_a_lens_ends_where_its_radius_turns(lens: Lens) -> None:

@@ -132,8 +132,12 @@ def measure_noise_structure(
     height, width = image.pixels_dn.shape
     side = min(_PATCH_PX, height, width) // 2 * 2
     correlations, lattices = [], []
-    for top in np.linspace(0, height - side, _PATCHES).astype(int) // 2 * 2:
-        for left in np.linspace(0, width - side, _PATCHES).astype(int) // 2 * 2:
+    # Patches of a small image coincide: each counts once.
+    tops, lefts = (
+        np.unique(np.linspace(0, free, _PATCHES).astype(int) // 2 * 2) for free in (height - side, width - side)
+    )
+    for top in tops:
+        for left in lefts:
             part = slice(top, top + side), slice(left, left + side)
             above = image.pixels_dn[part] - detected.background.level_dn[part]
             noise_dn = float(np.median(detected.background.noise_dn[part]))
