@@ -135,7 +135,7 @@ def test_a_readout_time_replaces_the_given_one_if_it_correlates_one_percent_bett
 
 
 class Turning:
-    """A pointing that turns about two axes of the camera, from an attitude that looks along x."""
+    """A pointing that turns about two axes of the camera, from an attitude that points along x."""
 
     def __init__(self, times_s: np.ndarray, rate: tuple[float, float, float]) -> None:
         turns = (times_s - FIRST_S)[:, np.newaxis] * np.array(rate)
