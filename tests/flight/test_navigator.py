@@ -175,3 +175,38 @@ def test_the_tilt_of_a_turn_has_the_sign_of_the_bank_and_a_limit(
     errors = AttitudeErrorModel(turn_coupling=0.01).drawn(0.0, 10.0, np.random.default_rng(0))
     q = quaternion_from_euler([roll_deg * DEG], [pitch_deg * DEG], [1.0])
     assert errors.at(np.array([5.0]), q)[0, 0] == pytest.approx(-0.01 * tangent, rel=1e-4, abs=1e-12)
+
+
+def test_random_errors_last_for_the_flight_and_are_those_of_its_times() -> None:
+    model = AttitudeErrorModel(
+        bias_rad=(0.1, -0.2, 0.3), drift_sigma_rad=0.02, drift_time_s=8.0, perlin_rad=0.04, perlin_time_s=6.0
+    )
+    first_s = 1e9
+    errors = model.drawn(first_s, first_s + 30.1, np.random.default_rng(4))
+
+    assert (errors.first_utc_s, errors.drift_step_s, errors.bias_rad.tolist()) == (first_s, 0.08, [0.1, -0.2, 0.3])
+    # A sample before the first time, and one at or after the last: 30.1 s in steps of 80 ms.
+    assert errors.drift_rad.shape == (377 + 2, 3)
+    assert errors.drift_rad.std() < 0.06
+    assert [(time_s, phase.shape, len(slopes)) for time_s, phase, slopes in errors.perlin_octaves] == [
+        (6.0, (3,), 5 + 3),
+        (3.0, (3,), 10 + 3),
+        (1.5, (3,), 20 + 3),
+        (0.75, (3,), 40 + 3),
+    ]
+    level = np.tile([1.0, 0, 0, 0], (4, 1))
+    step = np.array([0, 1, 100, 300])
+    noise = sum(
+        0.04 * 0.5**k / 1.875 * perlin_noise(0.08 * step[:, np.newaxis] / time_s + phase, slopes)
+        for k, (time_s, phase, slopes) in enumerate(errors.perlin_octaves)
+    )
+    found = errors.at(first_s + 0.08 * step, level)
+    np.testing.assert_allclose(found - noise, errors.bias_rad + errors.drift_rad[step], rtol=0, atol=1e-7)
+    # Before the flight that of its beginning is held.
+    np.testing.assert_allclose(errors.at(np.array([first_s - 5]), level[:1])[0], found[0], rtol=0, atol=1e-12)
+    plain = AttitudeErrorModel(bias_rad=(0.1, 0.2, 0.3)).drawn(first_s, first_s + 30, np.random.default_rng(4))
+    assert (plain.perlin_octaves, plain.drift_rad.tolist(), model.is_random) == ((), [[0, 0, 0]], True)
+    assert [AttitudeErrorModel(**{name: 1e-9}).is_random for name in ("bias_sigma_rad", "turn_coupling")] == [
+        True,
+        False,
+    ]
