@@ -187,7 +187,11 @@ def test_the_error_of_a_longer_path_is_that_of_the_curve_and_the_flux_that_shade
 
 def test_the_displacement_along_a_path_counts_by_the_smaller_of_its_change_and_its_distance() -> None:
     t = np.arange(9) / 8
-    for late, length in ((0.02 * t * (1 - t), 40.0), (0.0005 * (np.arange(9) % 2), 8.0)):
+    for late, length in (
+        (1e-3 * np.sin(2 * np.pi * t), 300.0),
+        (0.02 * t * (1 - t) * (t - 0.5), 40.0),
+        (5e-4 * (np.arange(9) % 2), 8.0),
+    ):
         # A straight path of even flux, that is early by `late`.
         path = np.column_stack([length * (t + late), 0 * t])
         rates = np.full((2, 2), [length, 0.0])
@@ -302,24 +306,26 @@ class Counted:
 
     limit_s = 0.0
     evaluated: ClassVar[list[int]] = []
+    position_px: ClassVar[list[float]] = []
 
     @classmethod
     def of(cls, monkeypatch: pytest.MonkeyPatch, limit_s: float) -> type[Self]:
         def evaluate(self: object, *several: segmentation.Segments) -> Iterator[np.ndarray]:
             cls.evaluated.append(len(several))
+            cls.position_px.append(self._position_px)
             for begins, ends in several:
                 yield ((ends - begins) / limit_s) ** 3
 
-        cls.evaluated = []
+        cls.evaluated, cls.position_px = [], []
         monkeypatch.setattr(segmentation._SegmentEvaluator, "evaluate", evaluate)
         monkeypatch.setattr(segmentation._SegmentEvaluator, "_rate_discontinuities_s", np.array([-1e9, 1e9]))
         return cls
 
 
 def test_an_exposure_has_as_many_segments_as_its_error_needs_or_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    nodes_s = np.array([100.0, 101.0])
+    nodes_s = np.array([100.0, 100.3, 101.0])
 
-    def found(**most: int) -> np.ndarray | None:
+    def found(**most: float) -> np.ndarray | None:
         return segment_times(None, nodes_s, LENS, 1.2, **most)
 
     Counted.of(monkeypatch, 0.11)
@@ -333,7 +339,10 @@ def test_an_exposure_has_as_many_segments_as_its_error_needs_or_none(monkeypatch
     assert found(most=1) is None
     Counted.of(monkeypatch, 1.0)
     np.testing.assert_allclose(found(most=1), [100.0, 100.5, 101.0], rtol=0, atol=1e-9)
-    assert Counted.evaluated == [2]
+    assert (Counted.evaluated, Counted.position_px) == ([2], [0.02])
+    found(position_px=0.007)
+    assert Counted.position_px == [0.02, 0.007]
+    np.testing.assert_array_equal(segmentation._trial_parts(nodes_s, 1), [[100.0], [101.0]])
     np.testing.assert_allclose(
         segmentation._trial_parts(nodes_s, 10), [100 + np.arange(7) / 7, 100 + np.arange(1, 8) / 7]
     )
@@ -358,7 +367,9 @@ def test_an_exposure_takes_more_segments_only_if_those_that_remain_exceed_a_numb
     assert not takes_more([(9, 0)], 5)
 
 
-def test_errors_are_evaluated_for_stars_all_over_the_field_in_the_middle_of_each_segment() -> None:
+def test_errors_are_evaluated_for_stars_all_over_the_field_in_the_middle_of_each_segment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     simulator = rolling(np.linspace(0.0, 1.0, 11), np.linspace(0.0, 0.4, 11) ** 2)
     nodes_s = NIGHT_UTC_S + np.array([0.2, 0.3, 0.5, 0.9])
     one = segmentation._SegmentEvaluator(simulator.motion, nodes_s, LENS, 1.3, 0.03)
@@ -386,11 +397,13 @@ def test_errors_are_evaluated_for_stars_all_over_the_field_in_the_middle_of_each
     (excess,) = one.evaluate((begins, ends))
     fraction = np.array([3 / 7, 4 / 7])
     np.testing.assert_allclose(excess, segmentation.segment_excess(xy, rates, fraction, 1.3, 0.03, elapsed), rtol=1e-6)
-    # The nodes are requested once, with the first segments; of 20 us and less nothing is asked.
+    # The nodes are requested once, with the first segments; the error of less than 20 us is none.
     assert requests == [[4, 22]]
     short = NIGHT_UTC_S + np.array([0.4, 0.4]), NIGHT_UTC_S + np.array([0.4 + 1.9e-5, 0.4 + 2.1e-5])
     assert (next(one.evaluate(short, (begins, ends))) > 0).tolist() == [False, True]
     assert requests == [[4, 22], [22, 22]]
+    monkeypatch.setattr(segmentation, "segment_excess", lambda *of: of[2] + of[3] + of[4])
+    np.testing.assert_allclose(next(one.evaluate((begins, ends))), fraction + 1.3 + 0.03, rtol=1e-6)
 
 
 def test_simpsons_rule_is_exact_for_third_powers_and_even_fractions_end_at_one() -> None:
