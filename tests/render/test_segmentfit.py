@@ -50,7 +50,8 @@ def test_the_motion_is_sampled_evenly_from_node_to_node(interpolation: str) -> N
     assert (samples.parts, samples.bends) == (3, interpolation == "spline")
     np.testing.assert_allclose(samples.pointing.C_camera_eq, turning(expected).C_camera_eq, rtol=0, atol=1e-9)
     # Twice as strict within 0.2 s of either end, the limits among them.
-    strict = replace(samples, times_s=np.array([0.0, 0.1875, 0.25, 0.3125, 0.8125, 0.875, 1.0])).strictness(0.25, 2.5)
+    at_s = 8 + np.array([0.0, 0.1875, 0.25, 0.3125, 0.8125, 0.875, 1.0])
+    strict = replace(samples, times_s=at_s).strictness(0.25, 2.5)
     assert strict.tolist() == [2.5, 2.5, 2.5, 1.0, 2.5, 2.5, 2.5]
     assert replace(samples, times_s=np.linspace(0.0, 1.0, 9)).strictness(0.125, 3.0).tolist() == [
         3,
@@ -167,6 +168,23 @@ def test_the_longest_segments_are_those_that_a_quadratic_follows(parts: int, amo
     samples = SampledMotion(np.arange(nodes + 1.0), parts, t, None, bends=False)
     found = samples._longest(t, values, limit_px)
     assert found.tolist() == longest_of(values, limit_px, parts)
+
+
+@pytest.mark.parametrize(("stop", "count"), [(99, 22), (5, 4)])
+def test_lengths_are_tried_in_steps_of_about_a_quarter_until_none_follows(
+    monkeypatch: pytest.MonkeyPatch, stop: int, count: int
+) -> None:
+    tried = []
+
+    def follow(t: np.ndarray, _values: np.ndarray, _limit: np.ndarray) -> np.ndarray:
+        tried.append((len(t) - 1) // 2)
+        return np.full(t.shape[1], 1 < len(tried) < stop)
+
+    monkeypatch.setattr(segmentfit, "_follow", follow)
+    samples = SampledMotion(np.arange(301.0), 2, np.arange(601.0), None, bends=False)
+    samples._longest(np.arange(601.0), np.zeros((601, 3)), np.ones(601))
+    lengths = [2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 120, 152, 192, 240]
+    assert tried == [300, *lengths[:count]]
 
 
 def test_the_search_goes_from_node_to_node_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
