@@ -8,10 +8,11 @@ import pytest
 from scipy.special import erf
 
 from glstar.camera.exposure import Exposure
-from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
 from glstar.render.readout.rows import RecordedTimes
+from glstar.render.readout.stacking import StackedTrails
 from glstar.render.truth import linechains
-from glstar.render.truth.linechains import LineChain, NearLines, _path, _while_open, square_distance_px2
+from glstar.render.truth.linechains import LineChain, NearLines, _path, _while_open, line_chains, square_distance_px2
 from tests.support.scenes import NIGHT_UTC_S, camera
 
 XY_PX = np.array([[[1.0, 10], [4, 12], [9, np.nan], [9, 30]], [[2.0, 20], [6, 25], [6, 26], [7, 40]]])
@@ -202,3 +203,39 @@ def test_the_path_of_a_star_is_cut_where_its_row_opens_and_closes() -> None:
     assert same_px is xy_px
     assert same is duration
     assert none is None
+
+
+@pytest.mark.parametrize("is_rolling", [False, True])
+@pytest.mark.parametrize("is_listed", [False, True])
+def test_a_stack_has_a_chain_for_each_short_exposure(is_rolling: bool, is_listed: bool) -> None:
+    def short(shift: float) -> SubExposures:
+        turned = np.array([[0.0, 0.0, 0.0], [0.01, 0.02, 0.0], [0.03, 0.05, 0.0]]) + shift
+        pointing = SimpleNamespace(to_camera=lambda eq: eq + turned[:, np.newaxis])
+        return SubExposures(pointing)
+
+    stack = StackedTrails([short(0.0), short(0.1)])
+    exposure = Exposure(NIGHT_UTC_S, 0.6, readout_s=0.4 if is_rolling else 0.0, frames=2, gap_s=0.1)
+    listing = SimpleNamespace(trails=stack) if is_listed else None
+    scene = SimpleNamespace(trails=None if is_listed else stack, listing=listing, exposure=exposure, camera=camera())
+    direction = np.array([[0.0, 0.1, 1.0], [0.1, 0.0, 1.0]])
+    each = [
+        RecordedTimes(np.array([a, 0.1]), np.array([0.8, 0.9]), np.ones(2), np.full((3, 2, 2), 9.0 * a), np.zeros(2))
+        for a in (0.2, 0.4)
+    ]  # fmt: skip
+    joined = RecordedTimes(*(np.zeros(2),) * 3, np.zeros((3, 2, 2)), np.zeros(2), tuple(each)) if is_rolling else None
+    found = list(line_chains(scene, direction, recorded=joined))
+    assert len(found) == 2
+    for chain, trails, a in zip(found, stack.shorts, (0.2, 0.4), strict=True):
+        xy_px, duration = _path(scene, trails, direction, None)
+        np.testing.assert_allclose(duration, [1 / 3] * 3, rtol=1e-12)
+        np.testing.assert_allclose(chain.duration, [1 / 6] * 3, rtol=1e-12)
+        if is_rolling:
+            thirds = np.array([[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])
+            open_s = np.diff(thirds.clip(a, 0.8), axis=1)[:, 0]
+            np.testing.assert_allclose(chain.weight[:, 0], open_s / (0.8 - a) / 2, rtol=0, atol=1e-9)
+        else:
+            np.testing.assert_allclose(chain.middle_px, (xy_px[:, 1:] + xy_px[:, :-1]) / 2, rtol=1e-12)
+            np.testing.assert_allclose(chain.weight, np.full((3, 2), 1 / 6), rtol=1e-12)
+    single = SimpleNamespace(trails=stack.shorts[1], listing=None, exposure=Exposure(NIGHT_UTC_S, 0.6), camera=camera())
+    (alone,) = line_chains(single, direction)
+    np.testing.assert_allclose(alone.duration, [1 / 3] * 3, rtol=1e-12)
