@@ -115,7 +115,7 @@ def chords_px() -> np.ndarray:
     return np.array(lengths)
 
 
-@pytest.mark.parametrize(("length_px", "fewest"), [(3.0, 1), (9.0, 1), (9.0, 12), (1e4, 1), (1e4, 2)])
+@pytest.mark.parametrize(("length_px", "fewest"), [(0.2, 1), (3.0, 1), (9.0, 1), (9.0, 12), (1e4, 1), (1e4, 2)])
 def test_pieces_are_equal_lengths_of_the_path_of_the_fastest_star(length_px: float, fewest: int) -> None:
     elapsed = np.concatenate([[0.0], np.cumsum(chords_px())])
     bounds = CameraPath(trails(), LENS).bounds_of_equal_lengths(length_px, fewest)
@@ -224,9 +224,9 @@ def test_quadrature_nodes_integrate_fifth_powers_over_pieces_of_several_segments
 
 
 def test_the_sky_is_interpolated_between_halves_of_segments() -> None:
-    pointing = turning(np.array([0.0, 0.1, 0.2, 0.35, 0.5]))
+    pointing = turning(np.array([0.0, 0.1, 0.2, 0.3, 0.5]))
     found = _interpolated(pointing, np.array([0.0, 0.25, 2.5, 3.75, 4.0]))
-    times = np.array([0.0, 0.025, 0.275, 0.4625, 0.5])
+    times = np.array([0.0, 0.025, 0.25, 0.45, 0.5])
     np.testing.assert_allclose(found.velocity_eq, np.outer(times, [1, -1, 2]) * 1e-6, rtol=0, atol=1e-15)
     zenith = np.column_stack([0.1 * times, 0.3 - 0.2 * times, np.ones_like(times)])
     np.testing.assert_allclose(found.zenith_eq, zenith, rtol=0, atol=1e-12)
