@@ -66,7 +66,7 @@ def test_lines_are_near_a_point_within_half_their_length_and_a_distance() -> Non
 def light_of(start: np.ndarray, end: np.ndarray, at: np.ndarray, sigma: float) -> float:
     """Return the mean along a line of a Gaussian over its flux at a point, 1/px^2; a short one is a wide Gaussian."""
     length = np.hypot(*(end - start))
-    along = (end - start) / max(length, 1e-9)
+    along = (end - start) / length if length else np.array([1.0, 0.0])
     s, across = (at - (start + end) / 2) @ along, (at - (start + end) / 2) @ [along[1], -along[0]]
     height = np.exp(-(across**2) / (2 * sigma**2)) / (np.sqrt(2 * np.pi) * sigma)
     if length >= sigma:
@@ -106,7 +106,7 @@ def test_the_signal_at_places_is_that_of_all_near_lines(
                 ends = xy_px[:, line, star], xy_px[:, line + 1, star]
                 if np.hypot(*(sum(ends) / 2 - point[star])) < np.hypot(*(ends[1] - ends[0])) / 2 + 3.0 + 5 * sigma:
                     expected[place, star] += light[line, star] * light_of(*ends, at, sigma)
-    assert (expected > 1e-3).all()
+    assert expected.mean() > 5e-3
     np.testing.assert_allclose(sum(lines.signal(x, y) for lines in near), expected, rtol=0, atol=2e-6)
     # Numbers of the points of some stars.
     some = np.array([2, 0])
@@ -239,3 +239,12 @@ def test_a_stack_has_a_chain_for_each_short_exposure(is_rolling: bool, is_listed
     single = SimpleNamespace(trails=stack.shorts[1], listing=None, exposure=Exposure(NIGHT_UTC_S, 0.6), camera=camera())
     (alone,) = line_chains(single, direction)
     np.testing.assert_allclose(alone.duration, [1 / 3] * 3, rtol=1e-12)
+
+
+def test_the_light_of_a_star_at_rest_falls_with_the_distance() -> None:
+    """A line without a length once had no direction either, and the same light everywhere."""
+    chain = LineChain.of(np.full((2, 3, 1), 50.0), np.array([0.3, 0.7]), None)
+    (found,) = NearLines.of(chain, slice(None), np.full((1, 2), 50.0), np.array([9.0]), 1.4, 1.0)
+    x, y = np.array([[0.0], [2.0], [0.0], [-1.5]]), np.array([[0.0], [0.0], [3.0], [2.5]])
+    expected = np.exp(-(x**2 + y**2) / (2 * 1.4**2)) / (2 * np.pi * 1.4**2)
+    np.testing.assert_allclose(found.signal(x, y), expected, rtol=1e-5)
