@@ -4,8 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from glstar.render.motion.starpaths import ConicPaths, SampledPaths, end_weights
+from glstar.camera.distortion import Lens
+from glstar.render.motion.starpaths import (
+    ConicPaths,
+    SampledPaths,
+    SegmentSamples,
+    end_rates_px,
+    end_weights,
+    parameter_at,
+    probe_rays,
+)
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from tests.support.scenes import camera
 
@@ -157,3 +167,178 @@ def test_samples_of_some_stars_equal_those_of_all(kind):
     stars = np.array([31, 4, 5])
     np.testing.assert_array_equal(np.concatenate([some for some, _ in paths.samples(stars)]), xy[:, stars])
     assert list(paths.samples(np.array([], dtype=np.intp))) == []
+
+
+def exact_px(paths: ConicPaths, elapsed: np.ndarray) -> np.ndarray:
+    """Return positions at elapsed fractions of all segments, (segments, n, m, 2) px, by barycentric interpolation."""
+    positions = []
+    for k, weight in enumerate(paths.weight):
+        angle = np.arctan(np.sqrt(weight - 1))
+        u = (1 + np.tan((2 * elapsed - 1) * angle) / np.tan(angle)) / 2
+        start, middle, end = paths.nodes[:, 2 * k : 2 * k + 3].transpose(1, 2, 0)
+        lagrange = 2 * (u - 0.5) * (u - 1) * weight, 4 * u * (1 - u), 2 * u * (u - 0.5) * weight
+        positions.append(LENS.project(sum(of[:, np.newaxis, np.newaxis] * node for of, node in
+                                          zip(lagrange, (start, middle, end), strict=True))))  # fmt: skip
+    return np.array(positions)
+
+
+def test_the_ends_of_a_rotation_have_the_weight_of_a_quarter_of_it() -> None:
+    ends = Rotation.from_rotvec([[0.3, -0.2, 0.4], [0.0, 0.0, 2.0], [0.0, 0.0, np.pi]]).as_matrix()
+    starts = Rotation.from_rotvec([[0.3, -0.2, 0.1], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]).as_matrix()
+    angles = [np.arccos((np.trace(starts[k].T @ ends[k]) - 1) / 2) for k in range(3)]
+    np.testing.assert_allclose(end_weights(starts, ends), 1 / np.cos(np.array(angles) / 4) ** 2, rtol=1e-7)
+    elapsed = np.array([0.0, 0.2, 0.5, 0.9, 1.0])
+    angle = np.arctan(np.sqrt(0.3))
+    expected = 0.5 + np.tan((2 * elapsed - 1) * angle) / np.sqrt(0.3) / 2
+    np.testing.assert_allclose(parameter_at(elapsed, np.full(5, 1.3)), expected, rtol=1e-12)
+    np.testing.assert_allclose(parameter_at(elapsed, np.ones(5)), elapsed, rtol=0, atol=1e-9)
+
+
+def test_positions_are_those_of_the_quadratics_through_weighted_ends() -> None:
+    paths = replace(random_paths(3), weight=np.array([1.1, 1.3, 1.02]))
+    elapsed = np.array([0.0, 0.15, 0.5, 0.8, 1.0])
+    exact = exact_px(paths, elapsed)
+    for segment in ([0] * 5, [2, 0, 1, 1, 0]):
+        found = paths.positions(np.array(segment), elapsed)
+        np.testing.assert_allclose(found, exact[segment, np.arange(5)], rtol=0, atol=1e-8)
+    ends_px = np.concatenate([exact[:, 0], exact[-1:, -1]])
+    np.testing.assert_allclose(np.moveaxis(paths.nodes_px[:, ::2], 0, -1), ends_px, rtol=0, atol=1e-8)
+    # Samples lie in the middle of equal parts of the time of a segment.
+    xy, time_fraction = all_samples(paths)
+    counts = paths.sample_counts
+    first = 0
+    for k, count in enumerate(counts):
+        expected = exact_px(paths, (np.arange(count) + 0.5) / count)[k]
+        np.testing.assert_allclose(xy[first : first + count], expected, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(time_fraction[first : first + count], paths.time_fraction[k] / count, rtol=1e-12)
+        first += count
+    assert first == len(xy)
+
+
+def test_a_segment_has_a_sample_for_each_spacing_of_its_longest_chord_and_for_each_hundredth_of_the_time() -> None:
+    # One star on the image, one whose middle is beside it and one that is hidden at the end.
+    path_px = np.array([[[10.0, 20], [40, 60], [70, 100.0], [120, 100], [150, 100]],
+                        [[10.0, 20], [-40, 60], [370, 200.0], [399, 100], [420, 250]],
+                        [[10.0, 20], [40, 60], [np.nan, 100], [60, 80], [50, 90]]])  # fmt: skip
+    rays = LENS.unit_vectors(path_px)
+    nodes = np.moveaxis(rays / rays[..., 2:], (0, 1, 2), (2, 1, 0))
+    paths = ConicPaths(LENS, nodes, np.array([1.001, 1.001]), np.array([0.7, 0.3]), 2.5)
+    # 100 px, and 80 px and 70.7 px: of the star at the border.
+    assert paths.sample_counts.tolist() == [70, 32]
+    # Its middle is on the image, at (399, 100), by half a pixel.
+    assert replace(paths, spacing_px=1.2).sample_counts.tolist() == [84, 67]
+    assert replace(paths, nodes=nodes[..., :1], spacing_px=0.99).sample_counts.tolist() == [102, 81]
+    assert replace(paths, nodes=nodes[..., 2:], spacing_px=0.99).sample_counts.tolist() == [70, 30]
+    assert replace(paths, spacing_px=np.inf).sample_counts.tolist() == [70, 30]
+
+
+@pytest.mark.parametrize(("counts", "pieces"), [
+    ([50, 50, 99], [3]), ([50, 50, 100], [2, 1]), ([199, 1, 199, 2, 500, 300], [1, 2, 1, 1, 1]), ([700], [1]),
+])  # fmt: skip
+def test_a_piece_of_paths_has_200_samples_or_one_segment(counts: list[int], pieces: list[int]) -> None:
+    paths = random_paths(len(counts))
+    vars(paths)["sample_counts"] = np.array(counts)
+    found = list(paths.pieces())
+    assert [len(piece.time_fraction) for piece in found] == pieces
+    assert np.concatenate([piece.sample_counts for piece in found]).tolist() == counts
+    first = 0
+    for piece, count in zip(found, pieces, strict=True):
+        of = slice(2 * first, 2 * (first + count) + 1)
+        np.testing.assert_array_equal(piece.nodes, paths.nodes[:, of])
+        np.testing.assert_array_equal(piece.nodes_px, paths.nodes_px[:, of])
+        np.testing.assert_array_equal(piece.weight, paths.weight[first : first + count])
+        np.testing.assert_array_equal(piece.time_fraction, paths.time_fraction[first : first + count])
+        first += count
+
+
+def test_the_bounds_of_a_conic_are_its_ends_and_where_its_tangents_meet() -> None:
+    paths = replace(random_paths(3), weight=np.array([1.1, 1.3, 1.02]))
+    low, high = paths.segment_bounds_px
+    for k, weight in enumerate(paths.weight):
+        start, middle, end = paths.nodes[:, 2 * k : 2 * k + 3].transpose(1, 2, 0) * [[[weight]], [[1.0]], [[weight]]]
+        tangents = LENS.project(2 * middle - (start + end) / 2)
+        corners = np.stack([LENS.project(start), tangents, LENS.project(end)])
+        np.testing.assert_allclose(low[:, k].T, corners.min(axis=0), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(high[:, k].T, corners.max(axis=0), rtol=0, atol=1e-8)
+    whole = paths.bounds_px
+    np.testing.assert_allclose(whole, [low.min(axis=1).T, high.max(axis=1).T], rtol=0, atol=1e-12)
+
+
+def test_the_bounds_behind_a_lens_hold_five_times_and_a_quarter_of_how_far_a_path_bends_between_them() -> None:
+    paths = replace(random_paths(3), weight=np.array([1.1, 1.3, 1.02]))
+    seen = replace(paths, camera=replace(LENS, lens=Lens("fisheye", (0.0, 0.0, 0.0, 0.0))))
+    at_px = np.moveaxis(np.stack([seen.positions(np.arange(3), np.full(3, u)) for u in np.arange(5) / 4]), -1, 0)
+    bends = [np.abs(at_px[:, k] - 2 * at_px[:, k + 1] + at_px[:, k + 2]) / 4 for k in (0, 2)]
+    low, high = seen.segment_bounds_px
+    np.testing.assert_allclose(low, at_px.min(axis=1) - np.maximum(*bends), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(high, at_px.max(axis=1) + np.maximum(*bends), rtol=0, atol=1e-8)
+
+
+def test_integrals_of_counted_segments_are_those_of_dense_positions() -> None:
+    paths = replace(random_paths(4), weight=np.array([1.003, 1.005, 1.002, 1.004]))
+    rng = np.random.default_rng(6)
+    counted = rng.random((4, STARS)) < 0.6
+    begin, end = np.sort(rng.uniform(-0.1, 1.1, (2, STARS)), axis=0)
+    steps = 2000
+    dense = exact_px(paths, (np.arange(steps) + 0.5) / steps)
+    ends = np.cumsum(paths.time_fraction)
+    time = (ends - paths.time_fraction)[:, np.newaxis] + paths.time_fraction[:, np.newaxis] * (
+        np.arange(steps) + 0.5
+    ) / steps
+    weight = np.repeat(paths.time_fraction / steps, steps).reshape(4, steps, 1) * counted[:, np.newaxis]
+    sums = np.einsum("snm,snmx->xm", weight, dense)
+    np.testing.assert_allclose(paths.weighted_sum_of(counted), sums, rtol=0, atol=2e-3)
+    inside = (time[..., np.newaxis] > begin) & (time[..., np.newaxis] < end)
+    found_time, found_px = paths.integral_between(begin, end, counted)
+    np.testing.assert_allclose(found_time, (weight * inside).sum(axis=(0, 1)), rtol=0, atol=2e-3)
+    exact = np.einsum("snm,snmx->xm", weight * inside, dense)
+    np.testing.assert_allclose(found_px, exact, rtol=0, atol=0.4)
+    # Whole segments are counted exactly.
+    whole = np.append(0.0, ends)
+    time_of, px_of = paths.integral_between(np.full(STARS, whole[1]), np.full(STARS, whole[3]), counted)
+    np.testing.assert_allclose(time_of, paths.time_fraction[1:3] @ counted[1:3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(px_of, np.einsum("snm,snmx->xm", weight[1:3], dense[1:3]), rtol=0, atol=2e-3)
+
+
+def test_sums_and_rests_of_samples_without_a_neighbour() -> None:
+    number, own = np.array([0, 0, 1, 2, 5, 5]), np.array([1, 2, 4])
+    values = np.array([1.0, 2.0, 4.0, 9.0, 16.0, 30.0])
+    samples = SegmentSamples(np.zeros((6, 2)), number, own, own, np.zeros(3), np.zeros(3))
+    at, step = samples.own_values(values)
+    assert at.tolist() == [2.0, 4.0, 16.0]
+    assert step.tolist() == [3.0, 3.5, 7.0]
+    two = SampledPaths(np.arange(12.0).reshape(2, 3, 2), np.array([0.2, 0.3, 0.5]))
+    assert two.is_at_rest is False
+    np.testing.assert_allclose(two.weighted_sum_px, [[2.6, 3.6], [8.6, 9.6]], rtol=1e-12)
+    np.testing.assert_allclose(two.bounds_px, [[[0, 6], [1, 7]], [[4, 10], [5, 11]]], rtol=1e-12)
+
+
+def test_the_rates_at_the_ends_are_derivatives_of_the_projected_quadratic() -> None:
+    start, middle, end = np.random.default_rng(4).normal(size=(3, 5, 3)) * 0.1 + [0, 0, 1]
+
+    def at(u: float) -> np.ndarray:
+        return LENS.project(2 * (u - 0.5) * (u - 1) * start + 4 * u * (1 - u) * middle + 2 * u * (u - 0.5) * end)
+
+    rates = end_rates_px(LENS, start, middle, end)
+    step = 1e-6
+    expected = [(at(u + step) - at(u - step)) / (2 * step) for u in (0.0, 1.0)]
+    np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-5)
+
+
+def test_probes_are_at_the_corners_and_sides_and_within_the_limit_of_a_lens() -> None:
+    rays = probe_rays(LENS)
+    columns, rows = np.meshgrid([-0.5, 199.5, 399.5], [-0.5, 149.5, 299.5])
+    np.testing.assert_allclose(
+        LENS.project(rays.T), np.column_stack([columns.ravel(), rows.ravel()]), rtol=0, atol=1e-9
+    )
+    assert not rays.flags.writeable
+    barrel = replace(LENS, lens=Lens("fisheye", (0.0, 0.0, 0.0, 0.0)))
+    seen = barrel.project(probe_rays(barrel).T)
+    columns, rows = np.meshgrid(-0.5 + 100.0 * np.arange(5), -0.5 + 75.0 * np.arange(5))
+    np.testing.assert_allclose(seen, np.column_stack([columns.ravel(), rows.ravel()]), rtol=0, atol=1e-6)
+    # Within 0.97 of an image circle: the corners, 250 px from the axis, are not, and next are those at 213.6 px.
+    f_px = 240.0 / np.deg2rad(176.0)
+    next_px = np.hypot(200, 75)
+    for factor, count in ((1.0, 21), (next_px / 240 / 0.97 * 0.99, 17), (next_px / 240 / 0.97 * 1.01, 21)):
+        circle = replace(barrel, fx_px=f_px * factor, fy_px=f_px * factor)
+        assert probe_rays(circle).shape == (3, count)

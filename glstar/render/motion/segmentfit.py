@@ -376,9 +376,7 @@ class SegmentFit:
         """
         # Stars all over the field in the middle of each segment.
         directions = np.swapaxes(self.nodes.C_camera_eq[1::2], 1, 2) @ probe_rays(camera)
-        start, middle, end = (
-            _observed(self.nodes[k : 2 * len(directions) + k - 1 + (k < 2) : 2], directions) for k in range(3)
-        )
+        start, middle, end = (_observed(self.nodes[k : 2 * len(directions) + k - 1 : 2], directions) for k in range(3))
         project = camera.project
         vectors = np.einsum("nk,knij->nij", self.basis, np.stack([of[self.segment] for of in (start, middle, end)]))
         true = _observed(self.sampled, directions[self.segment])

@@ -23,6 +23,8 @@ _MIN_PARTS = 16
 _SHORT_SIGMA = 1.0
 # Lines whose ends are farther than this, sigma, add less than 1e-5.
 _FAR_SIGMA = 5.0
+# Lines that are shorter than this have no length, px.
+_NO_LENGTH_PX = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,18 +124,22 @@ class NearLines:
         (n, m) or float: which fraction of the flux arrives during each line.
         """
         near, star = chain.near(point_px, reach_px + _FAR_SIGMA * sigma_px)
-        length_px = np.maximum(chain.length_px.ravel().take(near), 1e-9)
+        length_px = np.maximum(chain.length_px.ravel().take(near), _NO_LENGTH_PX)
         light = chain.duration.take(near // chain.length_px.shape[1])
         if chain.recorded is not None:
             light = chain.recorded.ravel().take(near)
         light = light * (passing if isinstance(passing, float) else passing.ravel().take(near))
+        step_x_px, step_y_px = (px.ravel().take(near) for px in chain.step_px)
+        # A line without a length has a direction too: without one its light would not fall with the distance.
+        step_x_px[length_px <= _NO_LENGTH_PX] = _NO_LENGTH_PX
         lines = np.stack(
             [
                 *(
                     (px.ravel().take(near) - at.take(star)) / sigma_px
                     for px, at in zip(chain.middle_px, point_px.T, strict=True)
                 ),
-                *(px.ravel().take(near) / length_px for px in chain.step_px),
+                step_x_px / length_px,
+                step_y_px / length_px,
                 length_px / sigma_px,
                 light / (sqrt(2 * pi) * sigma_px**2),
             ]
