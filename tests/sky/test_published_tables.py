@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from glstar.errors import CatalogueError, ExportError
-from glstar.sky.catalogue.deep import build_tycho2
+from glstar.sky.catalogue.deep import build_hip_main, build_tycho2
 from glstar.sky.catalogue.published import gaia_content, gunzipped, read_gaia_bin, read_hip_main, read_tycho2
 from glstar.sky.catalogue.reading import (
     CatalogueRow,
@@ -68,6 +68,10 @@ def test_records_of_hipparcos_have_their_fields(tmp_path: Path) -> None:
     with pytest.raises(CatalogueError) as refused:
         read_hip_main(path)
     assert str(refused.value) == f"{path}: is no table of hip_main.dat: line 3 has a field that is no number"
+    path.write_text(f"{HIP_1}\n{HIP_1}\n", encoding="ascii")
+    with pytest.raises(CatalogueError) as refused:
+        build_hip_main(tmp_path / "out.sqlite", path)
+    assert str(refused.value) == f"{path}: holds number 1 twice; give each file once"
     path.write_text(f"\n{TYC_1}\n", encoding="ascii")
     with pytest.raises(CatalogueError) as refused:
         read_hip_main(path)
