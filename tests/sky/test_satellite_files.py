@@ -157,10 +157,10 @@ def test_an_ended_orbit_is_nowhere(tmp_path: Path) -> None:
 def test_a_satellite_is_as_bright_as_its_phase_range_and_shadow(tmp_path: Path) -> None:
     satellite = Satellites.open(written(tmp_path, elements(PASS)), 5.5).satellites[0]
     sun = np.array([0.6, 0.0, 0.8])
-    directions = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, -0.6], [-0.6, 0.0, -0.8]])
+    directions = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, 0.6], [-0.6, 0.0, -0.8]])
     places_km = np.array([[4000.0, 6000.0, 500.0], [-4600.0, 500.0, -6000.0], [-3900.0, 0.0, -5200.0]])
     mags, lit = visible_vmag(satellite, SatelliteView(directions, np.array([500.0, 800.0, 2000.0]), places_km), sun)
-    phases = np.arccos([0.0, -(0.48 - 0.48), 1.0])
+    phases = np.arccos([0.0, -(0.48 + 0.48), 1.0])
     law = (np.sin(phases) + (np.pi - phases) * np.cos(phases)) / np.pi
     expected = 5.5 + 5 * np.log10([0.5, 0.8, 2.0]) - 2.5 * np.log10(law * np.pi)
     np.testing.assert_allclose(mags, expected, rtol=0, atol=1e-9)
