@@ -1,8 +1,11 @@
 """UT1 - UTC and the motion of the pole, against astropy's reader and ERFA."""
 
 import json
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import erfa
 import numpy as np
@@ -15,7 +18,14 @@ from glstar.sky.place import timescale as earthorientation
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_direction
 from glstar.sky.place.site import Site
-from glstar.sky.place.timescale import described_earth_orientation, earth_orientation, earth_orientation_note, parse_utc
+from glstar.sky.place.timescale import (
+    EarthOrientation,
+    described_earth_orientation,
+    earth_orientation,
+    earth_orientation_note,
+    has_earth_orientation,
+    parse_utc,
+)
 from tests.support.exports import SETTINGS, done, manifest_of, refused, table_of_a_flight, truth_of
 
 ARCSEC = np.pi / 648000
@@ -167,3 +177,113 @@ def test_a_saved_config_has_no_dut1_from_the_table(tmp_path: Path) -> None:
 def test_for_times_inside_the_table_the_manifest_has_no_range() -> None:
     described = described_earth_orientation(parse_utc("2024-03-10"))["earth_orientation"]
     assert "covers" not in described
+
+
+def table_line(mjd: str, *, final: tuple[str, str, str] | None, rapid: tuple[str, str, str]) -> str:
+    """Return a line of finals2000A.all by the columns of its description, from 1; letters fill what is between."""
+    line = ["x"] * 187
+    fields = {8: mjd.rjust(8), 19: rapid[0].rjust(9), 38: rapid[1].rjust(9), 59: rapid[2].rjust(10)}
+    x_pole, y_pole, dut1 = final or ("", "", "")
+    fields |= {135: x_pole.rjust(10), 145: y_pole.rjust(10), 155: dut1.rjust(11)}
+    for column, text in fields.items():
+        line[column - 1 : column - 1 + len(text)] = text
+    return "".join(line)
+
+
+@pytest.fixture
+def small_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> bytes:
+    """Install a table of four days around the leap second at the end of 2016, and a day without a prediction."""
+    content = "\n".join([
+        table_line("57753.00", final=("0.1234567", "0.2345678", "-0.4080001"), rapid=("9.0", "9.0", "9.0")),
+        table_line("57754.00", final=("-.0234567", "0.3345678", "0.5910001"), rapid=("9.0", "9.0", "9.0")),
+        table_line("57755.00", final=None, rapid=("12.345678", "-2.345678", "-0.6123456")),
+        table_line("57757.00", final=None, rapid=("0.2", "0.4", "0.5800000")),
+        table_line("57758.00", final=None, rapid=("", "", "")),
+    ]).encode()  # fmt: skip
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "finals2000A.all").write_bytes(content)
+    spec = SimpleNamespace(submodule_search_locations=[str(tmp_path)])
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: spec if name == "astropy_iers_data" else None)
+    monkeypatch.setattr(earthorientation, "version", lambda name: {"astropy-iers-data": "0.2026"}[name])
+    monkeypatch.setattr(earthorientation, "_table", earthorientation._table.__wrapped__)
+    return content
+
+
+def test_final_values_come_before_rapid_ones_and_ut1_is_interpolated_without_leap_seconds(small_table: bytes) -> None:
+    def found(utc: str) -> list[float]:
+        earth = earth_orientation(parse_utc(utc))
+        assert earth is not None
+        return [earth.x_pole_rad / ARCSEC, earth.y_pole_rad / ARCSEC, earth.dut1_s]
+
+    assert has_earth_orientation()
+    assert found("2016-12-31") == pytest.approx([0.1234567, 0.2345678, -0.4080001], rel=0, abs=1e-10)
+    # UT1 - TAI falls from -36.4080001 to -36.4089999 s during that day; UTC is 36 s behind TAI until its end.
+    third = [(2 * 0.1234567 - 0.0234567) / 3, (2 * 0.2345678 + 0.3345678) / 3, -0.4080001 - 0.0009998 / 3]
+    assert found("2016-12-31T08:00:00") == pytest.approx(third, rel=0, abs=1e-10)
+    assert found("2017-01-01") == pytest.approx([-0.0234567, 0.3345678, 0.5910001], rel=0, abs=1e-10)
+    assert found("2017-01-02") == pytest.approx([12.345678, -2.345678, -0.6123456], rel=0, abs=1e-10)
+    middle = [(12.345678 + 0.2) / 2, (0.4 - 2.345678) / 2, (0.58 - 0.6123456) / 2]
+    assert found("2017-01-03") == pytest.approx(middle, rel=0, abs=1e-10)
+    # After the table the last values continue; before it there are none.
+    assert found("2017-03-03") == pytest.approx([0.2, 0.4, 0.58], rel=0, abs=1e-10)
+    assert earth_orientation(parse_utc("2016-12-30T23:59:59")) is None
+
+
+def test_the_manifest_and_a_note_say_what_a_table_has_of_a_time(small_table: bytes) -> None:
+    source = {"source": "astropy-iers-data 0.2026, finals2000A.all", "sha256": sha256(small_table).hexdigest()}
+    inside = parse_utc("2017-01-02T16:00:00")
+    third = [(2 * 12.345678 + 0.2) / 3, (2 * -2.345678 + 0.4) / 3, (2 * -0.6123456 + 0.58) / 3]
+    assert described_earth_orientation(inside) == {
+        "earth_orientation": source
+        | {"utc": "2017-01-02T16:00:00.000000Z", "dut1_s": round(third[2], 7)}
+        | {"x_pole_arcsec": round(third[0], 6), "y_pole_arcsec": round(third[1], 6)}
+    }
+    covers = {"covers": "2016-12-31 to 2017-01-04"}
+    before = parse_utc("2016-12-30T12:00:00")
+    assert described_earth_orientation(before) == {"earth_orientation": source | covers | {"dut1_s": 0.0}}
+    after = parse_utc("2017-02-13T12:00:00")
+    described = described_earth_orientation(after)["earth_orientation"]
+    assert described == source | covers | {"utc": "2017-02-13T12:00:00.000000Z", "dut1_s": 0.58} | {
+        "x_pole_arcsec": 0.2,
+        "y_pole_arcsec": 0.4,
+    }
+    for edge in ("2016-12-31", "2017-01-04"):
+        assert "covers" not in described_earth_orientation(parse_utc(edge))["earth_orientation"]
+        assert earth_orientation_note(parse_utc(edge)) == ""
+    assert earth_orientation_note(before) == (
+        "UT1 = UTC assumed (astropy-iers-data 0.2026, finals2000A.all begins on 2016-12-31): azimuths and altitudes may"
+        " be 13 arcsec off, and more before UTC had whole leap seconds (1972)"
+    )
+    assert earth_orientation_note(after) == (
+        "UT1 - UTC = +0.5800 s continues the last value of astropy-iers-data 0.2026, finals2000A.all, which ends on"
+        " 2017-01-04, 40 days earlier: UT1 drifts by up to 17 arcsec a year; update astropy-iers-data"
+    )
+
+
+def test_without_the_package_a_note_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    monkeypatch.setattr(earthorientation, "_table", earthorientation._table.__wrapped__)
+    assert not has_earth_orientation()
+    assert earth_orientation_note(1.7e9) == (
+        "UT1 = UTC assumed (astropy-iers-data is not installed): azimuths and altitudes may be 13 arcsec off;"
+        " pip install astropy-iers-data"
+    )
+
+
+def test_a_table_of_an_unknown_version_is_used(small_table: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(name: str) -> str:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(earthorientation, "version", unknown)
+    assert described_earth_orientation(1483300000.0)["earth_orientation"]["source"] == (
+        "astropy-iers-data, finals2000A.all"
+    )
+
+
+def test_the_pole_moves_towards_greenwich_and_90_degrees_west() -> None:
+    still = EarthOrientation()
+    assert (still.dut1_s, still.x_pole_rad, still.y_pole_rad) == (0.0, 0.0, 0.0)
+    moved = EarthOrientation(0.1, 2e-4, -3e-4).polar_motion
+    # ITRS coordinates of the intermediate pole, to first order: x towards Greenwich, -y towards 90 deg east.
+    np.testing.assert_allclose(moved @ [0.0, 0.0, 1.0], [2e-4, 3e-4, 1.0], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(moved @ moved.T, np.eye(3), rtol=0, atol=1e-15)

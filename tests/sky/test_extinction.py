@@ -159,3 +159,40 @@ def test_the_parts_fall_with_height_by_their_own_scales() -> None:
 def test_the_air_mass_is_forty_at_the_horizon_and_below() -> None:
     assert air_mass([0.0, -0.3]) == pytest.approx([40.0, 40.0], rel=1e-12)
     assert air_mass([1.0, 0.5]) == pytest.approx([1.0, 2.0], rel=1e-3)
+
+
+def test_ozone_and_scattering_have_their_published_spectra() -> None:
+    # Serdyuchenko et al. 2014 at 243 K, 1e-21 cm^2, and Bodhaine et al. 1999, eq. (30), times 1e-28 cm^2.
+    chappuis = {
+        420: 0.03, 440: 0.13, 460: 0.36, 480: 0.72, 500: 1.24, 510: 1.60, 525: 2.20, 550: 3.40, 575: 4.75, 600: 5.12,
+        625: 4.05, 650: 2.60, 700: 0.95,
+    }  # fmt: skip
+
+    def cross_section(nm: float) -> float:
+        um2 = (nm / 1e3) ** 2
+        return (1.0455996 - 341.29061 / um2 - 0.90230850 * um2) / (1 + 0.0027059889 / um2 - 85.968563 * um2)
+
+    air = Extinction(0.2, 0.3, 2000.0, 0.05, pressure_hpa=800.0, by_channel=True)
+    for nm, ozone in chappuis.items():
+        there = air.at_wavelength(nm)
+        assert there.ozone_mag == pytest.approx(0.05 * ozone / 1.60, rel=1e-12)
+        assert there.rayleigh_mag == pytest.approx(0.2 * cross_section(nm) / cross_section(510), rel=1e-12)
+        assert there.aerosol_mag == pytest.approx(0.3 * (510 / nm) ** 1.3, rel=1e-12)
+        assert replace(there, rayleigh_mag=0.2, aerosol_mag=0.3, ozone_mag=0.05, wavelength_nm=510.0) == air
+        assert there.wavelength_nm == nm
+        # From there to another wavelength, as directly.
+        onward, directly = there.at_wavelength(590.0), air.at_wavelength(590.0)
+        assert onward.zenith_mag(0.0) == pytest.approx(directly.zenith_mag(0.0), rel=1e-12)
+    assert air.at_wavelength(585.0).ozone_mag == pytest.approx(0.05 * (0.6 * 4.75 + 0.4 * 5.12) / 1.6, rel=1e-12)
+
+
+def test_usual_air_is_greens_and_pressure_replaces_height() -> None:
+    usual = Extinction()
+    assert usual == Extinction(0.1451, 0.120, 1500.0, 0.016, None, 510.0, by_channel=False)
+    assert usual.zenith_mag(2000.0) == pytest.approx(
+        0.1451 * np.exp(-2000 / 7996) + 0.12 * np.exp(-2000 / 1500) + 0.016, rel=1e-12
+    )
+    thin = Extinction(pressure_hpa=700.0)
+    assert thin.rayleigh_at_mag(2000.0) == pytest.approx(0.1451 * 700 / 1013.25, rel=1e-12)
+    s = np.array([0.02, 0.3, 0.8])
+    np.testing.assert_allclose(air_mass(s), 1 / (s + 0.025 * np.exp(-11 * s)), rtol=1e-14)

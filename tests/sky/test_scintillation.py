@@ -60,3 +60,66 @@ def test_it_grows_with_air_mass_and_falls_with_height():
     np.testing.assert_allclose(scintillation.rms(1.0, 0.0), 0.38, rtol=1e-3, atol=0)
     np.testing.assert_allclose(scintillation.rms(0.5, 0.0), 0.38 * 2**0.92, rtol=5e-3, atol=0)
     np.testing.assert_allclose(scintillation.rms(1.0, 8000.0), 0.38 / np.e, rtol=1e-3, atol=0)
+
+
+def splitmix64(number: int) -> int:
+    """Return the output of the generator after a state, as its authors publish it."""
+    z = (number + 0x9E3779B97F4A7C15) % 2**64
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) % 2**64
+    return z ^ (z >> 31)
+
+
+def normals(star_id, utc_s, seed, times):
+    """Return normal deviates of a star by Box and Muller, from two uniform numbers of 53 bits each."""
+    of_frame = splitmix64(round(utc_s * 1e6))
+    of_star = splitmix64(star_id ^ splitmix64((seed + of_frame) % 2**64))
+    uniform = [splitmix64((of_star + k * 0x9E3779B97F4A7C15) % 2**64) / 2**64 for k in range(2 * times)]
+    return [
+        np.sqrt(-2 * np.log(1 - first)) * np.cos(2 * np.pi * second)
+        for first, second in zip(uniform[:times], uniform[times:], strict=True)
+    ]
+
+
+def test_the_hash_is_splitmix64():
+    # The first numbers of the published generator that starts at 0.
+    assert [splitmix64(0), splitmix64(0x9E3779B97F4A7C15)] == [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4]
+
+
+@pytest.mark.parametrize("utc_s", [1710068400.125, -86400.25])
+def test_mean_factors_are_log_normal_numbers_of_star_exposure_and_seed(utc_s):
+    star_id, rms = np.array([7, 4711, 32], np.int32), np.array([0.3, 0.5, 0.8])
+    found = Scintillation(0.38, seed=9).mean_factors(rms, star_id, utc_s, 0.03)
+    steps = 0.03 / 0.004
+    # The variance of the mean over s correlation times of a process with exponential correlation.
+    mean_rms = rms * np.sqrt(2 * (steps - 1 + np.exp(-steps)) / steps**2)
+    deviates = np.array([normals(int(star), utc_s, 9, 1)[0] for star in star_id])
+    expected = np.exp(np.sqrt(np.log(1 + mean_rms**2)) * deviates) / np.sqrt(1 + mean_rms**2)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_factors_are_an_autoregressive_process():
+    star_id, rms = np.array([7, 4711], np.int32), np.array([0.3, 0.8])
+    found = Scintillation(0.38).factors(rms, star_id, 1710068400.125, 0.02, 6)
+    step = 0.02 / 5 / 0.004
+    kept = np.exp(-step)
+    expected = np.empty((6, 2))
+    for column, star in enumerate(star_id):
+        fresh = normals(int(star), 1710068400.125, 0, 6)
+        value = fresh[0]
+        # Averaged over a step, the variance is smaller by the ratio of tanh(h / 2) to h / 2.
+        width2 = np.log(1 + rms[column] ** 2 * np.tanh(step / 2) / (step / 2))
+        for row in range(6):
+            if row:
+                value = kept * value + np.sqrt(1 - kept**2) * fresh[row]
+            expected[row, column] = np.exp(np.sqrt(width2) * value - width2 / 2)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_its_size_is_a_power_of_the_air_mass():
+    assert SMALL_LENS_RMS == 0.38
+    scintillation = Scintillation(0.5)
+    sine = np.array([[0.0, 0.2], [0.7, 0.9]])
+    mass = 1 / (sine + 0.025 * np.exp(-11 * sine))
+    np.testing.assert_allclose(scintillation.rms(sine, 2000.0), 0.5 * np.exp(-0.25) * mass**0.92, rtol=1e-12)
+    np.testing.assert_allclose(scintillation.rms(sine, -400.0), 0.5 * mass**0.92, rtol=1e-12)

@@ -1,6 +1,7 @@
 """Time: Julian days, leap seconds, Terrestrial and Universal Time, sidereal time."""
 
 from datetime import UTC, datetime, timedelta, timezone
+from fractions import Fraction
 
 import erfa
 import numpy as np
@@ -10,10 +11,18 @@ from hypothesis import strategies as st
 
 from glstar.errors import ConfigError
 from glstar.sky.place.timescale import (
+    CLOCK_GRAIN_S,
+    GPS_EPOCH_S,
+    ROLLOVER_WEEKS,
+    TAI_MINUS_GPS_S,
+    UNIX_EPOCH_JD,
+    WEEK_S,
     centuries_since_j2000,
     format_utc,
     julian_day,
+    leap_seconds,
     mean_sidereal_time_rad,
+    parse_known_utc,
     parse_utc,
     tai_minus_utc_s,
     tt_julian_date,
@@ -264,3 +273,53 @@ def test_one_second_of_dut1_is_15_arcseconds_of_sidereal_time() -> None:
     turned = mean_sidereal_time_rad(ut1_julian_date(utc_s, 0.5)) - mean_sidereal_time_rad(ut1_julian_date(utc_s, -0.5))
 
     assert turned == pytest.approx(15.041 * ARCSEC, abs=1e-3 * ARCSEC, rel=0)
+
+
+def test_times_are_known_from_1800_to_2199() -> None:
+    # 62091 days from 1800-01-01 to 1970, and 84006 from there to 2200-01-01.
+    assert parse_known_utc("1800-01-01T00:00:00Z") == -62091.0 * DAY_S
+    assert parse_known_utc("2199-12-31T23:59:59Z") == 84006.0 * DAY_S - 1
+    for text in ("1799-12-31T23:59:59.9Z", "2200-01-01T00:00:00Z"):
+        with pytest.raises(ConfigError) as refused:
+            parse_known_utc(text)
+        assert str(refused.value) == f"{text!r} lies outside the years 1800 to 2200, for which glstar knows the sky"
+    # Flights may begin and end a little outside.
+    for utc_s in (7.2599e9, -7.2599e9):
+        assert tai_minus_utc_s(utc_s) >= 0
+    for utc_s in (7.26e9, -7.26e9, 7.3e9):
+        with pytest.raises(ConfigError) as refused:
+            tai_minus_utc_s(utc_s)
+        assert str(refused.value) == (
+            f"{utc_s} s since 1970 is not a time in the years 1800 to 2200, for which glstar knows the sky"
+        )
+
+
+def test_a_leap_second_is_the_last_second_of_a_day_of_utc() -> None:
+    assert parse_utc("2016-12-31T23:59:60.25Z") == parse_utc("2017-01-01T00:00:00.25Z")
+    assert parse_utc("2017-01-01T10:29:60+1030") == parse_utc("2017-01-01T00:00:00Z")
+    for text in ("2016-12-31T23:58:60Z", "2016-12-31T22:59:60.5Z", "2016-12-31T23:59:60+01:00"):
+        with pytest.raises(ConfigError) as refused:
+            parse_utc(text)
+        assert str(refused.value) == f"{text!r} is no time: a leap second is 23:59:60 of UTC"
+
+
+def test_gps_time_began_in_1980_19_seconds_behind_tai() -> None:
+    assert parse_utc("1980-01-06T00:00:00Z") == GPS_EPOCH_S
+    assert (WEEK_S, ROLLOVER_WEEKS, TAI_MINUS_GPS_S) == (7 * DAY_S, 2**10, 19.0)
+    # 17 s until the end of 2016, then 18 s: the leap second lies between the GPS times 17 s and 18 s after midnight.
+    midnight_s = parse_utc("2017-01-01T00:00:00Z")
+    assert [leap_seconds(midnight_s + after_s) for after_s in (-5.0, 16.5, 18.5, 3e5)] == [17.0, 17.0, 18.0, 18.0]
+
+
+@pytest.mark.parametrize("ut1", [(2524593.5, 0.8125), (2451545.5, 0.3), (2415020.5, 0.9375), (2378496.5, -0.01)])
+def test_mean_sidereal_time_is_meeus_polynomial_without_rounding(ut1: tuple[float, float]) -> None:
+    days = Fraction(ut1[0]) + Fraction(ut1[1]) - 2451545
+    t = days / 36525
+    degrees = Fraction("280.46061837") + Fraction("360.98564736629") * days
+    degrees += Fraction("0.000387933") * t**2 - t**3 / 38710000
+    assert mean_sidereal_time_rad(ut1) == pytest.approx(float(np.deg2rad(float(degrees % 360))), rel=0, abs=2e-11)
+
+
+def test_times_closer_than_a_microsecond_are_equal() -> None:
+    assert CLOCK_GRAIN_S == 1e-6
+    assert sum(erfa.cal2jd(1970, 1, 1)) == UNIX_EPOCH_JD

@@ -198,11 +198,13 @@ def _dark_gradient(mass: Float, zenith_mag: float) -> Float:
 
 def _moonlight(view: SkyView, sine: Float, state: SkyState) -> Float:
     air, height_m = state.extinction, state.height_m
-    zenith_mag = air.zenith_mag(height_m)
+    zenith_mag, at_sea_mag = air.zenith_mag(height_m), air.zenith_mag(0.0)
+    if zenith_mag == 0:
+        return np.zeros_like(sine)
     scattering = []
     for part_mag in (air.rayleigh_at_mag, air.aerosol_at_mag):
-        at_sea = part_mag(0.0) / air.zenith_mag(0.0)
-        scattering.append(part_mag(height_m) / zenith_mag / at_sea if at_sea > 0 and zenith_mag > 0 else 0.0)
+        at_sea = part_mag(0.0) / at_sea_mag
+        scattering.append(part_mag(height_m) / zenith_mag / at_sea if at_sea > 0 else 0.0)
     light_nl = moonlight_nl(
         view.moon_separation_rad,
         _scattering_mass(np.maximum(np.sin(state.moon_altitude_rad), 0.0)),
