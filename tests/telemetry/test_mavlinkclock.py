@@ -2,10 +2,11 @@
 
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import ardupilotmega, common
 
 from glstar.arrays import Float
 from glstar.telemetry.mavlink import packets
@@ -113,6 +114,16 @@ def test_times_are_those_with_a_date() -> None:
 
     np.testing.assert_array_equal(table.times(PILOT), [good])
     np.testing.assert_array_equal(clock_readings(table, PILOT), [good])
+
+
+def test_messages_have_the_numbers_of_mavlink() -> None:
+    assert {number: name for number, (name, _) in MESSAGES.items()} == {
+        getattr(ardupilotmega, f"MAVLINK_MSG_ID_{name}"): name for name, _ in MESSAGES.values()
+    }
+    for name, fields in MESSAGES.values():
+        known = getattr(ardupilotmega, f"MAVLink_{name.lower()}_message").fieldnames
+        assert {field.partition("[")[0] for field in fields} <= set(known)
+    assert packets._value(SimpleNamespace(q=[0.5 * k for k in range(12)]), "q[10]") == 5.0
 
 
 def test_the_unit_of_a_time_since_boot() -> None:
@@ -336,6 +347,13 @@ def test_a_time_since_boot_far_from_its_neighbours_is_damaged(off_s: float, is_k
 
     assert (600.0 in one.at) is is_kept
     assert one.at.size == 299 + is_kept
+
+
+@pytest.mark.parametrize(("back_s", "boots"), [(4.8, 1), (5.2, 2)])
+def test_a_time_since_boot_that_goes_back_by_five_seconds_is_a_reboot(back_s: float, boots: int) -> None:
+    boot_s = FIRST_S - np.where(np.arange(300) >= 150, back_s + 0.1, 0.0)
+    two = VehicleClock.of(Table(ATTITUDE=attitudes(100, boot_s, boot_s + 5000)), PILOT)
+    assert len(two.boots) == boots
 
 
 # --- the bytes of a file --------------------------------------------------------------------------------------------
