@@ -224,6 +224,34 @@ def test_a_clock_that_drifts_against_exact_utc(rate: float) -> None:
     assert fit.largest_s == pytest.approx(30.0, abs=1e-4)
 
 
+@pytest.mark.parametrize("rate", [6e-3, -6e-3, 9.7e-3])
+@pytest.mark.parametrize("origin_s", [7.0, -90_000.0])
+def test_a_clock_that_drifts_by_many_seconds(rate: float, origin_s: float) -> None:
+    """By 12 s or more in 2000 s; a fifth of the cells is wrong by minutes."""
+    clock_s = origin_s + 0.5 * np.arange(4001)
+    utc_s = 4000.25 + clock_s * (1 + rate)
+    odd = np.arange(4001) % 5 == 3
+    utc_s[odd] += 300 + 100 * np.sin(np.flatnonzero(odd))
+    fit = fitted_clock(clock_s, utc_s)
+
+    assert fit.rate == pytest.approx(rate, rel=1e-6)
+    assert fit.cut.tolist() == np.flatnonzero(odd).tolist()
+    at_utc_s = fit.at_rate_of_utc(clock_s) + fit.utc_minus_clock_s
+    np.testing.assert_allclose(at_utc_s[~odd], utc_s[~odd], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("rate", [4e-4, -4e-4])
+def test_a_clock_that_drifts_against_truncated_seconds(rate: float) -> None:
+    true_s = 0.1 * np.arange(20_000)
+    clock_s = 40 + true_s * (1 + rate)
+    fit = fitted_clock(clock_s, np.floor(true_s + 1e-6) + 4000)
+
+    assert fit.rate == pytest.approx(1 / (1 + rate) - 1, abs=2e-5)
+    off_s = fit.at_rate_of_utc(clock_s) + fit.utc_minus_clock_s - true_s - 4000
+    assert np.abs(off_s).max() < 0.11
+    assert fit.cut.size == 0
+
+
 @pytest.mark.parametrize("phase_s", [0.0, 0.33, 0.95])
 def test_truncated_seconds_begin_in_the_row_where_they_change(phase_s: float) -> None:
     true_s = CLOCK_S + phase_s
