@@ -135,6 +135,7 @@ def test_a_flight_of_an_imu_with_everything() -> None:
 
 
 def test_facts_and_attitudes_of_a_bag() -> None:
+    assert BagReader.one_clock
     opened = reader(imu(), pose("/x/pose", "geometry_msgs/msg/PoseStamped"), fix())
     assert opened.facts() == source.LogFacts("ROS 2 bag", unread_bytes=17)
     assert opened.facts().unread_bytes == 17
@@ -441,9 +442,9 @@ def test_the_best_time_reference_is_used() -> None:
 
 
 def test_a_time_reference_of_another_scale_is_converted_and_reported() -> None:
-    gps = reader(imu(), time_of("/t", 18.0))
+    gps = reader(imu(late_s=3.0), time_of("/t", 21.0, late_s=3.0))
     [clock] = by_kind(gps)[source.ClockSamples]
-    np.testing.assert_allclose(clock.utc_s - clock.clock_s, 0.0, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(clock.utc_s - clock.clock_s, 3.0, rtol=0, atol=1e-6)
     notes = by_kind(gps)[source.AttitudeSamples][0].notes
     assert "/t count GPS time, as the clock of the recorder shows: converted to UTC" in notes
 

@@ -513,3 +513,95 @@ def test_a_recorder_without_a_date_says_nothing_about_scales() -> None:
     # The leap second of 2017 counts from the instant at which it ended.
     assert utc_of_scale(18.0, 1483228800.0 + 1) == (-18.0, "GPS time")
     assert utc_of_scale(17.0, 1483228800.0 - 2) == (-17.0, "GPS time")
+
+
+# --- what a topic is for --------------------------------------------------------------------------------------------
+SENT = "sent to the autopilot by another program"
+PLANNED = "by its name where something should be or another thing is, not a measurement"
+
+
+@pytest.mark.parametrize(
+    ("name", "purpose"),
+    [
+        ("/mavros/vision_pose/pose", SENT),
+        ("/uav1/mavros/mocap/pose", SENT),
+        ("/mavros/odometry/out", SENT),
+        ("/mavros/odometry/in", ""),
+        ("/mavros/hil", SENT),
+        ("/vision_pose/pose", ""),
+        ("/fmu/in/vehicle_attitude", SENT),
+        ("/fmu/out/vehicle_attitude", ""),
+        ("/x/in/vehicle_attitude", ""),
+        ("/mavros/in/pose", ""),
+        ("/gimbal/pose", "by its name of a gimbal"),
+        ("/a/mount_status", "by its name of a gimbal"),
+        ("/mavros/setpoint_raw/attitude", PLANNED),
+        ("/a/goal", PLANNED),
+        ("/a/goalkeeper", PLANNED),
+        ("/a/homeland", ""),
+    ],
+)
+def test_what_a_topic_is_for_by_its_name(name: str, purpose: str) -> None:
+    assert topics.purpose_of(name) == purpose
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "are_two"),
+    [
+        ("/uav1/imu", "/uav2/fix", True),
+        ("/uav1/imu", "/uav1/fix", False),
+        ("/imu", "/uav2/fix", False),
+        ("/uav1/imu/data", "/gps/fix", False),
+        ("/mavros/imu/data", "/uav2/fix", False),
+        ("/mavros/uav1/data", "/gps/uav2/fix", True),
+        ("/uav1/x/data", "/uav1/y/fix", False),
+    ],
+)
+def test_topics_below_two_names_are_of_two_bodies(first: str, second: str, are_two: bool) -> None:
+    assert topics.are_of_two_bodies(first, second) is are_two
+
+
+def vehicles(**kinds: str) -> list[str]:
+    """Return the vehicle of each topic; names are written with ``__`` for ``/``."""
+    return list(topics.vehicles_of({"/" + name.replace("__", "/"): kind for name, kind in kinds.items()}).values())
+
+
+def test_vehicles_by_their_names() -> None:
+    assert vehicles(uav1__imu=IMU, uav2__imu=IMU) == ["uav1", "uav2"]
+    assert vehicles(drone_a__imu=IMU, leader__imu=IMU, fix=FIX) == ["drone_a", "leader", ""]
+    assert vehicles(uav1__imu=IMU, uav1__fix=FIX) == ["", ""]  # a single one
+    assert vehicles(fleet__uav1__imu=IMU, fleet__uav2__imu=IMU) == ["uav1", "uav2"]
+    assert vehicles(team1__uav1__imu=IMU, team2__uav1__imu=IMU) == ["team1/uav1", "team2/uav1"]
+
+
+def test_vehicles_above_the_interface_of_an_autopilot() -> None:
+    assert vehicles(alpha1__mavros__imu=IMU, zeta__mavros__imu=IMU) == ["alpha1", "zeta"]
+    assert vehicles(mavros__imu=IMU, zeta__mavros__imu=IMU, fix=FIX) == ["unnamed", "zeta", "unnamed"]
+    assert vehicles(fmu__out__x=PX4_ATTITUDE, px4_1__fmu__out__x=PX4_ATTITUDE) == ["unnamed", "px4_1"]
+    assert vehicles(mavros__imu1__data=IMU, mavros__imu2__data=IMU) == ["", ""]
+
+
+def test_vehicles_by_their_numbers() -> None:
+    assert vehicles(r1__imu=IMU, r2__imu=IMU, r2__fix=FIX) == ["r1", "r2", "r2"]
+    assert vehicles(r1__imu=IMU, s2__imu=IMU) == ["", ""]
+    assert vehicles(imu1__data=IMU, imu2__data=IMU) == ["", ""]
+    assert vehicles(x__1__imu=IMU, x__2__imu=IMU) == ["1", "2"]
+    assert vehicles(imu__1__x=IMU, imu__2__x=IMU) == ["", ""]  # two sensors
+
+
+def test_vehicles_with_equal_topics() -> None:
+    assert vehicles(red__odom=ODOMETRY, red__fix=FIX, blue__odom=ODOMETRY, blue__fix=FIX) == ["red"] * 2 + ["blue"] * 2
+    assert vehicles(red__odom=ODOMETRY, blue__odom=ODOMETRY, blue__fix=FIX) == [""] * 3  # one is equal
+    assert vehicles(red__odom=ODOMETRY, red__fix=FIX, blue__odom=POSE, blue__fix=FIX) == [""] * 4
+    assert vehicles(red__odom=ODOMETRY, red__goal=POSE, blue__odom=ODOMETRY, blue__goal=POSE) == [""] * 4
+    three = vehicles(red__a=IMU, red__b=FIX, blue__a=IMU, blue__b=FIX, green__a=IMU, green__b=FIX)
+    assert three == ["red", "red", "blue", "blue", "green", "green"]
+
+
+def test_another_name_beside_a_vehicle_is_one_too() -> None:
+    assert vehicles(uav1__imu=IMU, husky__fix=FIX) == ["uav1", "husky"]
+    assert vehicles(uav1__imu=IMU, husky__goal=POSE) == ["", ""]
+    assert vehicles(uav1__imu=IMU, husky__t=TIME) == ["", ""]
+    assert vehicles(uav1__imu=IMU, gps__fix=FIX) == ["", ""]
+    assert vehicles(uav1__imu=IMU, fix=FIX) == ["", ""]
+    assert vehicles(husky__imu=IMU, spot__fix=FIX) == ["", ""]
