@@ -64,6 +64,7 @@ def test_the_place_of_rmc_has_the_height_of_gga() -> None:
     assert same(nmea(gga(height="x"), zda)[0], [(*of_gga[:3], nan)])
     assert same(nmea(rmc("110002.5004"), gga("110002.4996"))[0], [(*AT, 47.25)])
     assert nmea(zda) == ([], {})
+    assert same(nmea("GPZDA,110002.50,10,03,2024", gga(geoid=""))[0], [of_gga])
 
 
 def test_angles_of_nmea_have_degrees_and_minutes() -> None:
@@ -251,6 +252,9 @@ ABOVE = "heights above ground, which are none above sea level"
 
 def test_fixes_of_a_track_of_kml() -> None:
     assert same(kml(f"<gx:Track>{WHENS}{COORDS}</gx:Track>")[0], TWO)
+    assert kml(f"<gx:Track>{WHENS}{COORDS}</gx:Track>")[1] == {}
+    level = "<gx:coord>138.5 -34.5</gx:coord>" * 2
+    assert kml(f"<gx:Track>{GROUND}{WHENS}{level}</gx:Track>")[1] == {}
     low = [(*fix[:3], nan) for fix in TWO]
     found, passed = kml(f"<gx:Track>{GROUND}{WHENS}{COORDS}</gx:Track>")
     assert (same(found, low), passed) == (True, {ABOVE: 2})

@@ -527,6 +527,35 @@ def test_reading_goes_on_at_three_messages_or_the_end(path: Path, between: int, 
     assert log.whole_bytes == 16 + sum(map(len, parts))
 
 
+@pytest.mark.parametrize(
+    ("letter", "least", "most"),
+    [
+        ("B", 16, 100),
+        ("F", 3, 65535),
+        ("I", 3, 65535),
+        ("M", 4, 65535),
+        ("P", 3, 65535),
+        ("Q", 4, 65535),
+        ("A", 4, 300),
+        ("R", 2, 2),
+        ("D", 3, 65535),
+        ("L", 9, 65535),
+        ("C", 11, 65535),
+        ("S", 8, 8),
+        ("O", 2, 2),
+        ("X", 1, 0),
+    ],
+)
+def test_a_message_holds_at_least_its_fields(letter: str, least: int, most: int) -> None:
+    """By the layouts of ULog: L is a level and a time of 64 bits, C has a tag of 16 bits too, S is eight bytes."""
+    for size in (least - 1, least, most, most + 1):
+        if 0 <= size <= 65535:
+            raw = b"." + message(letter, bytes(size)) + b"."
+            is_valid = least <= size <= most
+            assert ulogfile._stop(raw, 1, len(raw)) == (len(raw) - 1 if is_valid else None)
+            assert ulogfile._stop(raw, 1, len(raw) - 2) is None
+
+
 def test_the_head_of_a_log_says_whether_it_can_be_read(path: Path) -> None:
     for size in (0, 15):
         path.write_bytes(FILE_HEAD[:size])
