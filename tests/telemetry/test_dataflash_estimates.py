@@ -207,6 +207,10 @@ def test_the_lane_nearest_to_att_is_used_without_xkf4() -> None:
     # Of lanes that agree within the rounding of ATT the first is used.
     alike = Table(XKQ=xkq(np.tile([40.004, 40.001], 25), np.arange(50) % 2), ATT=att(40.0))
     assert of(alike, "XKQ").primary(alike).source == "XKQ lane 0, nearest to ATT"
+    two = Table(XKQ=xkq(40.0), XKF4=message(np.array([25.0, 30.15]), PI=np.array([0, 1])), ATT=att(40.0))
+    assert of(two, "XKQ").primary(two).source == "XKQ lane 0, nearest to ATT"
+    few = lanes(XKF4=message(np.array([25.0, 30.15]), PI=np.array([0, 2])), ATT=att(60.0))
+    assert of(few, "XKQ").primary(few).source == "XKQ lane 1, nearest to ATT"
     once = Table(XKQ=xkq(40.0), XKF4=message(CLOCK_S[:1], PI=1))
     assert of(once, "XKQ").primary(once).source == "XKQ lane 0, the lowest of 0"
 
