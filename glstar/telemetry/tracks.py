@@ -40,8 +40,8 @@ _ROOT = re.compile(r"(?:<!--.*?-->|<[?!](?!--)|[^<]++)*+<(?:[\w.-]+:)?([A-Za-z]\
 _ENCODING = re.compile(rb"""^[^>]{0,80}encoding=["']([\w.-]+)["']""")
 # XML is parsed in pieces, so that deep nesting is found before the rest is parsed.
 _PIECE_CHARACTERS = 1 << 16
-# Of host names and of program texts: some need the square of the time.
-_NO_ENCODINGS = {"idna", "punycode", "unicode_escape", "raw_unicode_escape", "undefined", "utf-7"}
+# Of host names and of program texts, by their names in `lookup`: some need the square of the time.
+_NO_ENCODINGS = {"idna", "punycode", "unicode-escape", "raw-unicode-escape", "undefined", "utf-7"}
 _NMEA = re.compile(rb"\$[A-Z]{2}(RMC|GGA|ZDA),")
 # Heights of KML that are above ground, or meaningless.
 _ABOVE_GROUND = {"relativeToGround", "relativeToSeaFloor", "clampToGround", "clampToSeaFloor"}

@@ -339,7 +339,7 @@ def _complete(
     """
     ends = heads + lengths
     # The last record may be followed by one or two bytes of a truncated one.
-    linked = (lengths > 0) & (ends <= file_bytes) & (_among(ends, heads) | (ends > file_bytes - 2))
+    linked = (lengths > 0) & (ends <= file_bytes) & (_among(ends, heads) | (ends >= file_bytes - 2))
     heads, kinds, ends = heads[linked], kinds[linked], ends[linked]
 
     record = np.ones(heads.size, dtype=bool)

@@ -245,10 +245,10 @@ def status_samples(clock_s: Float, values: Float, name: str) -> GimbalSamples:
 
 def angle_samples(clock_s: Float, values: Float, name: str) -> GimbalSamples:
     """Return the valid samples from (n, 3) roll, pitch and yaw, deg, or from the fields of MOUNT_STATUS."""
-    if name == "MOUNT_STATUS":
-        pitch, roll, yaw = np.deg2rad(values.T / 100)
-    else:
-        roll, pitch, yaw = np.deg2rad(values.T)
     valid = np.isfinite(values).all(axis=-1) & valid_times(clock_s)
-    q = quaternion_from_euler(roll, pitch, yaw)[valid]
+    if name == "MOUNT_STATUS":
+        pitch, roll, yaw = np.deg2rad(values[valid].T / 100)
+    else:
+        roll, pitch, yaw = np.deg2rad(values[valid].T)
+    q = quaternion_from_euler(roll, pitch, yaw)
     return GimbalSamples(clock_s[valid], q, np.zeros(len(q), dtype=np.bool_), name)
