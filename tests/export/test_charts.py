@@ -58,7 +58,7 @@ def test_a_curve_has_its_axes_its_line_and_a_dot_for_each_frame() -> None:
     lines = "".join(grid(166 - 25 * k, str(k + 2)) for k in range(7))
     numbers = frames({10 + 2 * k: 52 + 2 * 57.6 * k for k in range(6)})
     places = [(52.0, 153.5), (224.8, 34.8), (512.8, 116.0), (628.0, 62.9)]
-    way = "M" + "L".join(f"{x} {y}" for x, y in places[:2]) + "M" + "L".join(f"{x} {y}" for x, y in places[2:])
+    path = "M" + "L".join(f"{x} {y}" for x, y in places[:2]) + "M" + "L".join(f"{x} {y}" for x, y in places[2:])
     labels = ["frame 10: 2.5", "frame 13: 7.25", "frame 18: 4", "frame 20: 6.123"]
     dots = "".join(
         f'<circle class="dot {kind}"{shown} cx="{x}" cy="{y}" r="3"><title>{label}</title></circle>'
@@ -68,9 +68,9 @@ def test_a_curve_has_its_axes_its_line_and_a_dot_for_each_frame() -> None:
     )
     assert drawn == (
         "<figure><figcaption>width &lt;px&gt;, by frame</figcaption>"
-        f'<svg viewBox="0 0 640 190">{lines}{numbers}<path class="line" d="{way}"/>{dots}</svg></figure>'
+        f'<svg viewBox="0 0 640 190">{lines}{numbers}<path class="line" d="{path}"/>{dots}</svg></figure>'
     )
-    assert curve("width <px>", points, is_line=False) == drawn.replace(f'<path class="line" d="{way}"/>', "")
+    assert curve("width <px>", points, is_line=False) == drawn.replace(f'<path class="line" d="{path}"/>', "")
 
 
 def test_a_logarithmic_curve_leaves_out_zero_and_negative_values() -> None:

@@ -235,7 +235,9 @@ def test_a_short_trail_that_turns_back_has_the_hull_of_its_discs() -> None:
     circle = span_px / 4 * 1.04 * np.column_stack([np.cos(angles), np.sin(angles)])
     expected = ConvexHull(np.concatenate([point + circle for point in curve]))
     assert cv2.contourArea(hull.astype(np.float32)) == pytest.approx(expected.volume, rel=1e-5)
-    np.testing.assert_allclose(np.sort(hull, axis=0)[[0, -1]], [expected.min_bound, expected.max_bound], atol=1e-5)
+    np.testing.assert_allclose(
+        np.sort(hull, axis=0)[[0, -1]], [expected.min_bound, expected.max_bound], rtol=0, atol=1e-5
+    )
 
 
 def area_of(polygon: NDArray[np.float64]) -> float:
