@@ -227,7 +227,7 @@ def test_the_description_of_a_session_is_that_of_h264(host: str, family: str) ->
 
 
 class Encoder:
-    """Stands for PyAV: records what is opened and encoded."""
+    """PyAV of this test: records what is opened and encoded."""
 
     FFmpegError = OSError
 
