@@ -129,10 +129,11 @@ class LinkGimbal:
         boots = [self._rows.latest(from_s)]
         boots[0][:, 0] += utc_minus_boot_s
         for past in reversed(self._past):
+            kept = past[past[:, 0] >= from_s + utc_minus_boot_s]
             # The clock was set back since then: the previous boot overlaps and is dropped.
-            if past[-1, 0] >= boots[0][0, 0]:
+            if not len(kept) or kept[-1, 0] >= boots[0][0, 0]:
                 break
-            boots.insert(0, past[past[:, 0] >= from_s + utc_minus_boot_s])
+            boots.insert(0, kept)
         rows = np.concatenate(boots)
         return GimbalSamples(rows[:, 0], rows[:, 1:5], rows[:, 5] > 0, self.source)
 

@@ -7,13 +7,14 @@ from pathlib import Path
 import cv2
 import exifread
 import numpy as np
+import piexif
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.export.imagefiles.exif import with_exif
-from glstar.export.imagefiles.formats import decode, find_damage
+from glstar.export.imagefiles.exif import exif_of, with_exif
+from glstar.export.imagefiles.formats import decode, encode, find_damage
 from glstar.images.times import read_exif
 from glstar.sky.place.timescale import parse_utc
 
@@ -128,3 +129,83 @@ def test_exif_that_makes_no_sense_is_refused(tmp_path: Path, options: list[str],
     assert result.exit_code == code
     assert message in " ".join(result.output.replace("│", " ").split())
     assert not (tmp_path / "out").exists()
+
+
+LINE = {
+    "camera_utc_start": "2024-03-10T11:09:05.062500Z",
+    "duration_s": 0.0375,
+    "site": {"latitude_deg": -34.93625, "longitude_deg": 138.6087, "height_m": -12.125},
+}
+
+
+def test_exif_is_whole_and_without_gaps() -> None:
+    exif = exif_of(LINE)
+    read = piexif.load(b"Exif\0\0" + exif)
+
+    assert read["0th"] == {
+        0x010F: b"glstar",
+        0x0131: b"glstar",
+        0x0132: b"2024:03:10 11:09:05",
+        0x8769: read["0th"][0x8769],
+        0x8825: read["0th"][0x8825],
+    }
+    assert read["Exif"] == {
+        0x829A: (3, 80),
+        0x9003: b"2024:03:10 11:09:05",
+        0x9004: b"2024:03:10 11:09:05",
+        0x9011: b"+00:00",
+        0x9012: b"+00:00",
+        0x9291: b"062500",
+        0x9292: b"062500",
+    }
+    # 34 deg 56' 10.5" south, 138 deg 36' 31.32" east, 12.125 m below the ellipsoid.
+    assert read["GPS"] == {
+        0: (2, 3, 0, 0),
+        1: b"S",
+        2: ((34, 1), (56, 1), (21, 2)),
+        3: b"E",
+        4: ((138, 1), (36, 1), (783, 25)),
+        5: 1,
+        6: (97, 8),
+        7: ((11, 1), (9, 1), (81, 16)),
+        29: b"2024:03:10",
+    }
+    # Head, three directories and their values: texts and quotients that do not fit, to an even length.
+    first = 2 + 12 * 5 + 4 + (8 + 8 + 20)
+    shot = 2 + 12 * 7 + 4 + (8 + 20 + 20 + 8 + 8 + 8 + 8)
+    assert (read["0th"][0x8769], read["0th"][0x8825]) == (8 + first, 8 + first + shot)
+    assert len(exif) == 8 + first + shot + 2 + 12 * 9 + 4 + (24 + 24 + 8 + 24 + 12)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff"])
+def test_exif_of_each_format_is_that_of_the_line_and_leaves_the_pixels(suffix: str) -> None:
+    pixels = np.arange(24, dtype=np.uint16 if suffix == ".tiff" else np.uint8).reshape(4, 6)
+    kind = {".png": "png", ".jpg": "jpeg", ".tiff": "tiff"}[suffix]
+    plain = encode(pixels, kind)  # type: ignore[arg-type]
+
+    content = with_exif(plain, suffix, LINE)
+
+    with Image.open(BytesIO(content)) as image:
+        shot, place = image.getexif().get_ifd(0x8769), image.getexif().get_ifd(0x8825)
+    assert (shot[0x9003], shot[0x9291], float(shot[0x829A])) == ("2024:03:10 11:09:05", "062500", 0.0375)
+    assert (place[1], place[3], float(place[6]), float(place[2][2])) == ("S", "E", 12.125, 10.5)
+    np.testing.assert_array_equal(decode(content, suffix), decode(plain, suffix))
+    assert with_exif(content, suffix, LINE) == content
+    if suffix == ".jpg":
+        # The segment of EXIF follows the start of the image, with its length.
+        assert content[:4] == b"\xff\xd8\xff\xe1"
+        assert content[4:6] == (len(content) - len(plain) - 2).to_bytes(2, "big")
+        assert content[6:12] == b"Exif\0\0"
+        assert content[2 + len(content) - len(plain) :] == plain[2:]
+    if suffix == ".tiff":
+        assert content.endswith(b"glstar EXIF\0")
+
+
+def test_sides_and_minutes_are_those_of_the_place() -> None:
+    north = LINE | {"site": {"latitude_deg": 51.4999999, "longitude_deg": -0.125, "height_m": 0.0}}
+    read = piexif.load(b"Exif\0\0" + exif_of(north))["GPS"]
+
+    # 51 deg 29' 59.99964" north, 0 deg 7' 30" west.
+    assert (read[1], read[2][:2], read[3], read[4]) == (b"N", ((51, 1), (29, 1)), b"W", ((0, 1), (7, 1), (30, 1)))
+    assert read[2][2][0] / read[2][2][1] == pytest.approx(59.99964, rel=0, abs=1e-7)
+    assert (read[5], read[6]) == (0, (0, 1))

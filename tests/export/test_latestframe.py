@@ -70,6 +70,40 @@ def test_an_invalid_name_and_a_frame_that_is_too_large_are_refused(tmp_path: Pat
         LatestFrameWriter(str(tmp_path / "no" / "latest"), 4).write(np.zeros((2, 2), dtype=np.uint8), b"{}")
 
 
+def test_a_name_of_shared_memory_is_one_short_word() -> None:
+    for name in ("", "glstar/a", "a" * 31):
+        with pytest.raises(ConfigError, match=f"shm:{name} is no name of shared memory; write shm:NAME with a short"):
+            LatestFrameWriter(f"shm:{name}", 4)
+    longest = f"glstar-test-{'a' * 18}"
+    assert len(longest) == 30
+    with LatestFrameWriter(f"shm:{longest}", 4) as writer:
+        assert not writer.needs_nav
+
+
+def test_memory_is_kept_while_its_name_exists(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr(latestframe.time, "monotonic", lambda: now_s[0])
+    opened, original = list[str](), latestframe._opened
+    where = "shm:glstar-test-kept"
+    with LatestFrameWriter(where, 6) as writer, LatestFrameReader(where) as reader:
+        memory = writer._memory
+        for value in (3, 5):
+            writer.write(np.full((2, 3), value, np.uint8), b"{}")
+        assert writer._memory is memory
+        monkeypatch.setattr(latestframe, "_opened", lambda name: opened.append(name) or original(name))
+        frame = reader.read()
+        assert frame is not None
+        assert frame.pixels.tolist() == [[5, 5, 5]] * 2
+        # A reader opens the name again after 0.2 s without a new frame.
+        for now_s[0], times in ((100.19, 1), (100.21, 2), (100.4, 2), (100.42, 3)):
+            assert reader.read() is None
+            assert opened == ["glstar-test-kept"] * times
+        assert memory is not None
+        memory.unlink()
+        writer.write(np.full((2, 3), 7, np.uint8), b"{}")
+        assert writer._memory is not memory
+
+
 # --- one writer at a time ---------------------------------------------------------------------------------------------
 
 # Writes frames, reports it, and ends at the end of its input or when it is killed.

@@ -24,6 +24,7 @@ from glstar.images.times import (
     utc_from_name,
     with_common_grains,
     zone_hint,
+    zone_note,
 )
 from glstar.sky.place.timescale import format_utc, parse_utc
 from tests.support.exif import (
@@ -346,3 +347,76 @@ def test_times_in_steps_of_frames_are_named_with_the_largest_step(grain_s: float
 def test_the_zone_of_a_longitude_has_whole_hours(longitude_deg: float, hours: int) -> None:
     assert local_zone_s(np.deg2rad(longitude_deg)) == 3600.0 * hours
     assert local_zone_s(np.deg2rad(longitude_deg + 360.0)) == 3600.0 * hours
+
+
+def test_a_time_is_exact_has_a_zone_and_is_that_of_the_users_choice_unless_it_says_otherwise() -> None:
+    time = ImageTime(ESA_UTC_S, "name")
+
+    assert (time.exposure_s, time.is_start, time.grain_s, time.is_zoneless) == (None, False, 0.0, False)
+    assert [time.fraction_before(reference) for reference in TimeReference] == [0.0, 0.5, 1.0]
+    started = replace(time, is_start=True)
+    assert [started.fraction_before(reference) for reference in TimeReference] == [0.0, 0.0, 0.0]
+
+
+def test_an_exposure_has_the_images_own_length_and_starts_at_its_time_by_the_logs_clock() -> None:
+    wanted = Exposure(0.0, 0.5)
+    own, unknown = ImageTime(ESA_UTC_S, "EXIF", exposure_s=2.0), ImageTime(ESA_UTC_S, "EXIF")
+
+    assert exposure_of(own, wanted) == replace(wanted, start_utc_s=ESA_UTC_S, duration_s=2.0)
+    assert exposure_of(unknown, wanted) == replace(wanted, start_utc_s=ESA_UTC_S)
+    late = exposure_of(unknown, wanted, reference=TimeReference.END, ahead_s=0.75)
+    assert late == replace(wanted, start_utc_s=ESA_UTC_S - 1.25)
+
+
+@pytest.mark.parametrize(
+    ("zone_s", "likely_s", "said"),
+    [
+        (34200.0, 36000.0, "+09:30"),
+        (-43200.0, -39600.0, "-12:00"),
+        (50400.0, 50400.0, "+14:00"),
+        (-2700.0, 0.0, "-00:45"),
+    ],
+)
+def test_a_time_without_a_zone_may_be_local_if_a_zone_brings_it_into_the_flight(
+    zone_s: float, likely_s: float, said: str
+) -> None:
+    time = ImageTime(ESA_UTC_S, "name", is_zoneless=True)
+    within_s = (ESA_UTC_S - zone_s - 100.0, ESA_UTC_S - zone_s + 10.0)
+
+    note = zone_note(time, ESA_UTC_S, within_s, likely_s)
+
+    assert note == (
+        f"; its time has no zone and was taken as UTC: if the camera shows local time, such as that of {said}, add"
+        f" --time-offset {zone_s:g}, with which it lies in the flight"
+    )
+    assert zone_note(replace(time, is_zoneless=False), ESA_UTC_S, within_s, likely_s) == ""
+    # Between two quarters of an hour, and beyond the last zones.
+    assert zone_note(time, ESA_UTC_S, (within_s[0] + 300, within_s[1] + 300), likely_s) == ""
+    for outside_s in (-43200.0 - 900.0, 50400.0 + 900.0):
+        within_s = (ESA_UTC_S - outside_s - 10.0, ESA_UTC_S - outside_s + 10.0)
+        assert zone_note(time, ESA_UTC_S, within_s, likely_s) == ""
+
+
+def test_the_likely_zone_is_named_of_several() -> None:
+    time = ImageTime(ESA_UTC_S, "name", is_zoneless=True)
+    within_s = (ESA_UTC_S - 8 * 3600.0, ESA_UTC_S - 5 * 3600.0)
+
+    for likely_s, said in ((0.0, "+05:00"), (22000.0, "+06:00"), (36000.0, "+08:00")):
+        assert f"such as that of {said}," in zone_note(time, ESA_UTC_S, within_s, likely_s)
+
+
+def test_columns_of_a_table_are_separated_by_commas_semicolons_or_tabs(tmp_path: Path) -> None:
+    table = tmp_path / "images.csv"
+    for separator in ",;\t":
+        rows = [["Exposure_S ", "utc_s", "File"], ["0.25", "1564433246.5", "b.png"], ["-1", "1564433247", "c.png"]]
+        table.write_text("# a comment\n\n" + "\n".join(separator.join(row) for row in rows) + "\n")
+        times, problems = read_table(table)
+        assert problems == []
+        assert times == {
+            "b.png": ImageTime(ESA_UTC_S + 0.5, "images.csv", 0.25, grain_s=0.1),
+            "c.png": ImageTime(ESA_UTC_S + 1, "images.csv", None, grain_s=1.0),
+        }
+    table.write_text("file,utc_s\na.png,631151999.9\nb.png,631152000\nc.png,4102444799\nd.png,4102444800\n")
+    times, problems = read_table(table)
+    assert list(times) == ["b.png", "c.png"]
+    assert len(problems) == 2

@@ -44,9 +44,9 @@ def curve(title: str, points: Sequence[Point], *, is_log: bool = False, is_line:
         parts.append(f'<text x="{x:.1f}" y="{_HEIGHT - 6:g}" text-anchor="middle">{frame}</text>')
     dots, lines = [], []
     for is_known, run in groupby(points, lambda point: point[2] is not None and (point[2] > 0 or not is_log)):
-        placed = [(k, frame, value, kind, place(frame, value)) for k, frame, value, kind in run if value is not None]
-        if not is_known or not placed:
+        if not is_known:
             continue
+        placed = [(k, frame, value, kind, place(frame, value)) for k, frame, value, kind in run if value is not None]
         lines.append("M" + "L".join(f"{x:.1f} {y:.1f}" for *_, (x, y) in placed))
         dots += [_dot(k, f"frame {frame}: {value:.4g}", kind, x, y) for k, frame, value, kind, (x, y) in placed]
     line = f'<path class="line" d="{"".join(lines)}"/>' if is_line else ""
