@@ -248,6 +248,9 @@ def test_the_map_shows_track_beliefs_and_footprint_and_is_moved_by_the_mouse(
     np.testing.assert_allclose(plot.plotted["footprint"], [[4000.0, 3000.0]], rtol=2e-3)
     assert "the axis meets" in plot.take()[-1]
     # The wheel is the map's where the mouse is; the map then stays as it is.
+    plot.io.mouse_wheel = 1.0
+    shown.draw(loaded, state, (), night=False)
+    plot.io.mouse_wheel = 0.0
     plot.hovered = True
     shown.draw(loaded, state, (), night=False)
     assert shown._is_fitted
@@ -270,6 +273,7 @@ def test_the_map_shows_track_beliefs_and_footprint_and_is_moved_by_the_mouse(
     shown.draw(loaded, state, (), night=False)
     west, east, south, north, _ = plot.named("setup_axes_limits")[0]
     assert ((east + west) / 2, east - west) == pytest.approx((2000, 1.24 * 4000), rel=5e-3)
+    assert (north + south) / 2 == pytest.approx(1500, rel=5e-3)
     # Without a footprint the map has all of the height, up to 480 px and from 190 px on, on a usual screen.
     for room_px, high_px in ((900.0, 720.0), (700.0, 700.0), (200.0, 285.0)):
         plot.take()
