@@ -17,7 +17,7 @@ from glstar.viewer.ui.panels import settings as settingspanel
 from tests.support.scriptedimgui import ScriptedImgui, scripted
 
 SITE = Site(radians(-34.93), radians(138.6), 312.34)
-# Metres of a degree of latitude and of longitude there, from the radii of WGS84, by another program: 110 930 and 91 387.
+# Metres of a degree of latitude and of longitude there, from the radii of WGS84.
 NORTH_M, EAST_M = 110_930.0, 91_387.0
 
 

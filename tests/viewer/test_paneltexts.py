@@ -1,23 +1,18 @@
-"""The panels Object, Settings and View, and the play head's controls: all that they write, and what a user's input does."""
+"""The panel Object and the controls of the play head: all that they write, and what a user's input does."""
 
 from math import radians
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from imgui_bundle import ImVec2, implot
-
+from imgui_bundle import ImVec2
 
 from glstar.config import ExposureSection
-from glstar.render.effects import EFFECTS
 from glstar.sky.observed.risings import RiseAndSet
-from glstar.viewer.flight.loaded import AttitudeChoices
 from glstar.viewer.flight.playhead import Mode, PlayHead
-from glstar.viewer.picture.view import ColourMap, Stretch, StretchKind
-from glstar.viewer.session.keys import Action
-from glstar.viewer.skyobjects import ObjectKind, ObjectPlace, Selection, SkyObject
-from glstar.viewer.ui.panels import display, object as objectpanel, playback, settings
+from glstar.viewer.skyobjects import ObjectKind, ObjectPlace, SkyObject
+from glstar.viewer.ui.panels import display, playback, settings
+from glstar.viewer.ui.panels import object as objectpanel
 from tests.support.scriptedimgui import ScriptedImgui, scripted
 
 # 2024-03-10T11:00:04.678Z
@@ -31,7 +26,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> ScriptedImgui:
 
 # --- the selected object ---
 
-SIRIUS = SkyObject(ObjectKind.STAR, "Sirius", ("α CMa", "HR 2491"), star_id=2491, vmag=-1.456)
+SIRIUS = SkyObject(ObjectKind.STAR, "Sirius", ("alp CMa", "HR 2491"), star_id=2491, vmag=-1.456)
 
 
 def place(**changes: object) -> ObjectPlace:
@@ -45,7 +40,8 @@ def selection(selected: SkyObject | None = SIRIUS, **values: object) -> SimpleNa
     direction[1] = np.cos(radians(-16.7)) * np.sin(radians(101.25))
     values = {"place": place(), "direction_eq": direction, "body": None, "rise_and_set": None} | values
     values = {"times_in_image_s": None, "next_in_image_s": None, "star_truth": None, "pinned_places": []} | values
-    made = SimpleNamespace(selected=selected, pinned=[], pin=lambda each: made.pinned.append(each))
+    pinned: list[SkyObject] = []
+    made = SimpleNamespace(selected=selected, pinned=pinned, pin=pinned.append)
     for name, value in values.items():
         setattr(made, name, lambda *_, value=value: value)
     return made
@@ -83,7 +79,12 @@ def test_the_selected_star_has_its_figures_and_its_truth(drawn: ScriptedImgui, m
     drawn.answers = {"Pin": True, "Deselect": True}
     objectpanel.draw_object(shown, chosen)
     assert drawn.take() == [
-        *("Sirius [text_link]", "<Pin>", "? keeps its figures above, beside those of other objects", "α CMa, HR 2491"),
+        *(
+            "Sirius [text_link]",
+            "<Pin>",
+            "? keeps its figures above, beside those of other objects",
+            "alp CMa, HR 2491",
+        ),
         *("(magnitude)", "V -1.46", "(RA, dec of date)", "06h 45m 00.0s  -16.7000°"),
         *("(altitude, azimuth)", "34.567°  123.456°", "(from optical axis)", "5.432°", "(pixel)", "x 12.35  y 67.89"),
         *("(rises)", "2024-03-10 11:00:04 UTC", "(sets)", "always up", "(in the image)", "now"),
@@ -199,7 +200,7 @@ def test_a_body_has_its_brightness_phase_distance_and_size(
     )
     phase = [] if name == "Sun" else [("illuminated", "12.3 %"), ("phase angle", "123.5°")]
     assert objectpanel._body_rows(body) == [
-        *([("magnitude", "V -4.57")] + phase),
+        *([("magnitude", "V -4.57"), *phase]),
         *(("distance", rows[0]), ("diameter", rows[1])),
     ]
 
