@@ -278,6 +278,9 @@ class ScriptedImgui:
 
     get_cursor_pos = get_cursor_start_pos = get_cursor_screen_pos
 
+    def get_cursor_pos_x(self) -> float:
+        return self.cursor.x
+
     def calc_text_size(self, text: str, hide: bool = False, wrap_width: float = -1.0, **keys: Any) -> ImVec2:
         shown = text.partition("##")[0] if hide or keys.get("hide_text_after_double_hash") else text
         columns = max(map(len, shown.split("\n")))

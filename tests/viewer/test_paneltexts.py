@@ -269,6 +269,49 @@ def test_the_cut_out_has_a_square_a_pixel_and_a_profile(drawn: ScriptedImgui, ni
     assert drawn.take() == ["? pixels 17 to 20 across, 23 to 24 down", "plot ##profile"]
 
 
+@pytest.mark.parametrize(("shorts", "middle"), [(0, 0.5), (2, 0.75), (3, 0.5)])
+def test_the_surroundings_of_a_star_are_cut_out_across_its_trail(
+    monkeypatch: pytest.MonkeyPatch, shorts: int, middle: float
+) -> None:
+    """A trail of (6, 8) px an exposure through (20.3, 11.7) on an image of 40 x 30 px; across it is (-0.8, 0.6)."""
+    asked = []
+
+    def recorded(_: object, directions: np.ndarray, times: np.ndarray) -> np.ndarray:
+        asked.append(times)
+        return (np.array([20.3, 11.7]) + np.outer(times - middle, [6.0, 8.0]))[:, np.newaxis]
+
+    monkeypatch.setattr(objectpanel, "recorded_positions", recorded)
+    pixels = np.arange(1200, dtype=np.uint16).reshape(30, 40)
+    scene = SimpleNamespace(
+        shorts=range(shorts),
+        camera=SimpleNamespace(contains=lambda at: at[0] < 30),
+        sensor=SimpleNamespace(effective_sigma_px=1.5),
+        white_dn=1000,
+    )
+    cut_out = objectpanel.star_cut_out(scene, pixels, np.array([0.0, 0.0, 1.0]), 5000.0)
+    step = 0.005 / max(shorts, 1)
+    assert asked[0] == pytest.approx([middle - step, middle, middle + step])
+    # Columns 8 to 32 and rows 0 to 24 around the pixel (20, 12).
+    assert (cut_out.left_px, cut_out.top_px) == (8, 0)
+    np.testing.assert_array_equal(cut_out.pixels, pixels[0:25, 8:33])
+    np.testing.assert_allclose(cut_out.offset_px, np.linspace(-12, 12, 49))
+    x, y = 20.3 - 0.8 * cut_out.offset_px, 11.7 + 0.6 * cut_out.offset_px
+    inside = (x >= 8) & (x < 32) & (y >= 0) & (y < 24)
+    np.testing.assert_allclose(cut_out.measured_dn[inside], (40 * y + x)[inside], rtol=1e-9)
+    assert np.isnan(cut_out.measured_dn[~inside]).all()
+    # A Gaussian across a trail of 10 px, in the middle of which it is as wide as the trail is long, above the median.
+    expected = np.median(pixels[0:25, 8:33]) + 5000 / 10 / (1.5 * np.sqrt(2 * np.pi)) * np.exp(
+        -(cut_out.offset_px**2) / 4.5
+    )
+    np.testing.assert_allclose(cut_out.expected_dn[inside], expected[inside], rtol=0, atol=8.0)
+    assert cut_out.saturated(pixels, 700)[19].tolist() == (pixels[19, 8:33] >= 700).tolist()
+    stacked = np.zeros((30, 40), dtype=bool)
+    stacked[11, 20] = True
+    assert np.argwhere(cut_out.saturated(stacked, 700)).tolist() == [[11, 12]]
+    scene.camera.contains = lambda _: False
+    assert objectpanel.star_cut_out(scene, pixels, np.array([0.0, 0.0, 1.0]), 5000.0) is None
+
+
 # --- the play head ---
 
 

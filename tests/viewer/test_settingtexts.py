@@ -140,6 +140,32 @@ def test_a_sensor_in_electrons_is_shown_with_its_own_numbers(drawn: ScriptedImgu
     assert "Sensor preset: imx296:1456x1088" in lines
 
 
+@pytest.mark.parametrize("noise", ["paper", "electrons"])
+def test_effects_are_in_the_groups_of_their_stages(drawn: ScriptedImgui, noise: str) -> None:
+    session = Changed(**{"sensor.noise": noise})
+    settings.draw_settings(session)
+    lines = drawn.take()
+    of_electrons = ["=== Uneven response", "=== Dark current and hot pixels"] if noise == "electrons" else []
+    headings = [line for line in lines if line.startswith("===")]
+    assert headings[:4] == ["=== Exposure", "=== Camera", "=== Sensor", "=== Lens"]
+    assert sorted(headings[4:-2]) == sorted(["=== Star images", "=== Cloud", "=== Flare", *of_electrons])
+    assert headings[-2:] == ["=== Sky", "=== Mount"]
+
+    def group(title: str) -> list[str]:
+        """Return the labels of the controls of a group."""
+        first = lines.index(f"=== {title}") + 1
+        last = next((k for k in range(first, len(lines)) if lines[k].startswith("===")), len(lines))
+        return [line.partition(":")[0] for line in lines[first:last] if line[0] not in "?-*("]
+
+    assert "Bits" in group("Sensor")
+    assert ("Noise" in group("Sensor")) == (noise == "paper")
+    assert group("Lens") == ["Vignetting"]
+    assert group("Star images")[:2] == ["Star profile", "Moffat beta"]
+    assert group("Sky")[7:9] == ["Sky brightness", "Dark sky"]
+    assert not set(group("Sky")) & set(group("Sensor"))
+    assert "Reference star: V 3.00 from -1.5 to 8" in lines or noise == "electrons"
+
+
 def test_percent_signs_of_values_are_not_formats(drawn: ScriptedImgui) -> None:
     settings._about("a.b", "50 %", {}, default="c")
     assert drawn.take() == ["? a.b = 50 %%\nright click: c"]
@@ -255,7 +281,8 @@ def test_the_panel_view_shows_histogram_stretch_and_switches(view: ScriptedImgui
     no_legend = int(implot.Flags_.no_legend)
     assert view.named("begin_plot")[0][2] & no_legend
     assert view.named("set_next_axis_to_fit") == [[int(implot.ImAxis_.x1)]]
-    label, level_dn, fraction, _ = view.named("plot_line")[0]
+    label, level_dn, fraction, style = view.named("plot_line")[0]
+    assert (style.line_color.x, style.line_color.z) == pytest.approx((0.56, 0.93))
     assert (label, level_dn.tolist()) == ("simulated", [7.0, 8.0, 9.0, 10.0, 11.0, 12.0])
     np.testing.assert_allclose(fraction, [3 / 6, 1e-6, 2 / 6, 1e-6, 1e-6, 1 / 6], rtol=1e-12)
     shaded = view.named("plot_shaded")[0]

@@ -277,7 +277,8 @@ def test_a_drag_moves_the_head_wherever_the_mouse_is_and_ends_with_its_button(pl
     [
         (
             3.0,
-            "3.000 s\nroll 0.28 deg\npitch 3.00 deg\nyaw 12.00 deg\nother: 1.00  2.00  3.00\nmode AUTO\nright 1: 3.000 s",
+            "3.000 s\nroll 0.28 deg\npitch 3.00 deg\nyaw 12.00 deg\nother: 1.00  2.00  3.00\nmode AUTO\n"
+            "right 1: 3.000 s",
         ),
         (4.0, "4.000 s\nroll -1.51 deg\npitch 3.00 deg\nyaw 16.00 deg\nother: no attitude\nmode AUTO\nhi %%"),
         (7.0, "7.000 s\nno attitude of 2.000 s"),
