@@ -315,6 +315,9 @@ class ScriptedImgui:
     def get_item_rect_max(self) -> ImVec2:
         return ImVec2(130.0, 88.0)
 
+    def get_item_rect_size(self) -> ImVec2:
+        return ImVec2(100.0, 18.0)
+
     def get_scroll_y(self) -> float:
         return 0.0
 

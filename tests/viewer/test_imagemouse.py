@@ -173,6 +173,8 @@ def test_the_texture_is_put_where_the_picture_is(drawn: ScriptedImgui) -> None:
     assert len(drawn.named("add_image")) == 1
     # The visible part, px of the framebuffer from the window's corner.
     assert imagepanel._visible(edges, CORNER, (400.0, 300.0)) == ((52, 60, 376, 290), (40, 60))
+    lower = np.array([[12.0, 100.0], [387.0, 170.0]])
+    assert imagepanel._visible(lower, CORNER, (400.0, 300.0)) == ((52, 160, 375, 70), (40, 60))
     assert imagepanel._visible(np.array([[400.0, 0.0], [500.0, 90.0]]), CORNER, (400.0, 300.0)) is None
     assert imagepanel._visible(np.array([[0.0, 300.0], [50.0, 390.0]]), CORNER, (400.0, 300.0)) is None
     assert imagepanel._place(CORNER, 2.0) == WindowPlace((80, 120), (82, 124, 878, 714))
@@ -427,6 +429,11 @@ def test_overlays_leave_room_for_the_selected_name_and_the_free_camera_s_line(
     made.draw(shown)
     assert (asked[0]["pixels"], asked[0]["reserved"], asked[0]["selected"]) == (None, (), "")
     assert asked[0]["beliefs"] == (shown.loaded, "own", shown.scene)
+    # A magnified part, 50 x 37.5 px around the middle.
+    asked.clear()
+    shown.view.zoom_at([200.0, 150.0], 8.0 / 3.75)
+    made.draw(shown)
+    assert asked[0]["region"] == pytest.approx((49.5 - 25, 39.5 - 18.75, 49.5 + 25, 39.5 + 18.75))
     # Nothing is drawn outside of the image, and without overlays or a flight.
     asked.clear()
     shown.view.zoom_at([0.0, 0.0], 8.0)
@@ -440,3 +447,49 @@ def test_overlays_leave_room_for_the_selected_name_and_the_free_camera_s_line(
     shown.shown_overlays, shown.loaded = {Overlay.STAR_NAMES}, None
     made.draw(shown)
     assert asked == []
+
+
+@pytest.mark.parametrize(
+    ("on_image", "x_px", "towards", "at", "corner"),
+    [
+        # A ring at a position, its name 14 px right of and below it; near the lower right corner it stays in the panel.
+        (True, 49.5, (0.0, 1.0), (240.0, 210.0), (254.0, 224.0)),
+        (True, 98.0, (0.0, 1.0), (421.875, 210.0), (408.0, 224.0)),
+        # Towards a corner, and left: an arrow 14 px from the edge; the middle of its name is on the other side of it.
+        (False, 0.0, (0.6, 0.8), (240 + 0.75 * 136, 210 + 136.0), (342 - 14.4 - 25.6, 346 - 19.2 - 9)),
+        (False, 0.0, (-1.0, 0.0), (54.0, 210.0), (54 + 24.0, 205.0)),
+        # In the image, but beyond the edge of the panel.
+        (True, 149.5, (0.0, 1.0), (426.0, 210.0), (426 - 24 - 32.0, 205.0)),
+    ],
+)
+def test_the_selected_object_is_marked_wherever_the_panel_is(
+    drawn: ScriptedImgui,
+    on_image: bool,
+    x_px: float,
+    towards: tuple[float, float],
+    at: tuple[float, float],
+    corner: tuple[float, float],
+) -> None:
+    right, down = towards
+    where = ObjectPlace(0.5, 0.0, x_px, 39.5, on_image=on_image, right=right, down=down, from_axis_rad=0.1)
+    selection = SimpleNamespace(selected=SimpleNamespace(name="Vega"), place=lambda *_: where)
+    mark = imagepanel._SelectedMark.of(session(), selection, CORNER, CLIP, 340.0)
+    assert (mark.at.tolist(), mark.corner.tolist()) == (pytest.approx(at), pytest.approx(corner))
+    mark.draw(drawn)
+    plate, texts = drawn.named("add_rect_filled")[0], drawn.named("add_text")
+    assert plate[:2] == [pytest.approx((corner[0] - 2, corner[1] - 2)), pytest.approx((corner[0] + 34, corner[1] + 12))]
+    assert texts[-1][0] == pytest.approx(corner)
+    if mark.towards is None:
+        assert drawn.named("add_circle")[0][:2] == [pytest.approx(at), 14.0]
+    else:
+        tip, *base = drawn.named("add_triangle_filled")[0][:3]
+        assert tip == pytest.approx(at)
+        np.testing.assert_allclose(np.mean(base, axis=0), mark.at - 14 * mark.towards, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(np.abs(np.subtract(*base)), 14 * np.abs(mark.towards[::-1]), rtol=0, atol=1e-3)
+        assert np.subtract(*base) @ mark.towards == pytest.approx(0, abs=1e-3)
+    x, y = (corner[0] - 240) / 3.75 + 49.5, (corner[1] - 210) / 3.75 + 39.5
+    assert mark.region(placed(), CORNER) == pytest.approx((x, y, x + 32 / 3.75, y + 10 / 3.75))
+    for lacking in ({"scene": None}, {"image": SimpleNamespace(simulator=None)}):
+        assert imagepanel._SelectedMark.of(session(**lacking), selection, CORNER, CLIP, 340.0) is None
+    selection.selected = None
+    assert imagepanel._SelectedMark.of(session(), selection, CORNER, CLIP, 340.0) is None

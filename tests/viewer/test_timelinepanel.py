@@ -181,6 +181,7 @@ def test_the_axes_have_units_ticks_and_limits(plots: Plots, flight: Flight) -> N
     assert [bool(each & int(implot.AxisFlags_.no_tick_labels)) for each in x_flags] == [True, False]
     assert plots.named("setup_axis_limits")[0][1:3] == pytest.approx([-0.06, 12.06])
     assert plots.named("setup_axis_limits")[1][1:3] == [0.0, 1.0]
+    assert shown._per_px[TimelineCurve.ATTITUDE] == pytest.approx(40 / 400)
     # The ticks of the values are known when the plot has been drawn: 40 units on 400 px have room for one each 10 px.
     assert [args[0] for args in plots.named("setup_axis_ticks")] == [int(implot.ImAxis_.x1)] * 2
     plots.take()
