@@ -119,6 +119,11 @@ def test_the_system_s_dialog_is_of_the_kind_asked_for(
     chooser.draw()
     assert taken == ([] if path is None else [path])
     assert not chooser.is_answered
+    chooser.close()
+    assert len(native.asked) == 1
+    chooser.ask(kind, "Title", Path("z"), taken.append)
+    chooser.close()
+    assert native.asked[2:] == [("kill",)]
 
 
 # --- ranges ---
@@ -389,14 +394,13 @@ def test_the_welcome_offers_what_there_is(drawn: ScriptedImgui) -> None:
     draw("The bundled flight over Adelaide", "An orbit of 300 m radius in light gusts")
     draw("50%.ulg", recent=("/a/one.bin", "/b/50%.ulg"))
     assert shown.said == [bundled_flight(), Path("fly:orbit?radius_m=300&gusts=light"), Path("/b/50%.ulg")]
+    drawn.take()
     for change in ({"loaded": 1}, {"live": 1}, {"loader": SimpleNamespace(is_busy=True)}, {"status": "broken"}):
         guide.draw_welcome(SimpleNamespace(**vars(shown) | change), [], done.append, done.append)
-    assert drawn.take()[0] == "=== ##welcome"
-    guide.draw_welcome(SimpleNamespace(**vars(shown) | {"status": "x"}), [], done.append, done.append)
-    assert drawn.take() == []
+        assert drawn.take() == []
 
 
-def test_the_tour_goes_on_and_back_and_ends(drawn: ScriptedImgui) -> None:
+def test_the_tour_goes_on_and_back_and_ends(drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn.find_window_by_name = lambda _: drawn.window
     drawn.window, drawn.hidden, drawn.pos, drawn.size, drawn.draw_list = (
         drawn,
@@ -440,7 +444,14 @@ def test_the_tour_goes_on_and_back_and_ends(drawn: ScriptedImgui) -> None:
     assert drawn.named("add_rect") == []
     drawn.window = None
     tour.draw()
-    assert guide._with_keys("a {Ctrl+O}, {0} b") == "a Ctrl+O, 0 b"
+    # The text wraps at 390 px from the window's edge, 350 px from the cursor on, and has the height of the longest.
+    drawn.take()
+    guide._draw_text("short", 390.0)
+    longest = max(-(-8 * len(guide._with_keys(step.text)) // 350) for step in guide.STEPS)
+    assert drawn.named("push_text_wrap_pos") == [[390.0]]
+    assert drawn.named("dummy") == [[(0.0, 10.0 * longest - 18)]]
+    monkeypatch.setattr(guide, "shown_chord", "[{}]".format)
+    assert guide._with_keys("a {Ctrl+O}, {0} b") == "a [Ctrl+O], [0] b"
 
 
 def test_the_manual_has_its_pages_and_their_blocks(
