@@ -512,7 +512,7 @@ def test_the_panel_lists_its_images_and_their_figures(drawn: ScriptedImgui) -> N
         *("##folder: '' or 'folder of real images, or drop it here'", "<Open>", "times by names"),
         *("( ) off", "( ) blink", "(o) wipe", "( ) difference", "( ) side by side", "line: 0.250 from 0 to 1"),
         *("*    -0.750 s  b.png", "-   +62.250 s  c.png", "<< image>", "<image >>", "(2 of 3)"),
-        *("b.png: 2024-03-10T11:00:07.678Z by name, 0.25 s long", "(0.750 s after the play head)", "scaled by 0.5"),
+        *("b.png: 2024-03-10T11:00:07.678Z by name, 0.25 s long", "(0.750 s before the play head)", "scaled by 0.5"),
         *("outside [unsaved_marker]", "--- Camera clock - log clock", "s: 1.500 by 0.01, 1", "<0>"),
         *("##fine: +1.500 s from -5 to 5", "([flight] time_offset_s = 1.25)"),
         *(f"of exposure: {state.time_reference} of {references}",),
