@@ -520,4 +520,5 @@ def test_the_panel_lists_its_images_and_their_figures(drawn: ScriptedImgui) -> N
         *("--- Real image", "black: 0.0000 of white from 0 to 0.5", "gain: x 2.00 from 0.0625 to 256 log"),
         *("<Save this view>", "> 1 file not usable", "a.txt: is no image [unsaved_marker]"),
     ]
+    state.images = None
     state.close()
