@@ -78,7 +78,7 @@ class ScriptedImgui:
         plain = [_plain(each) for each in (*args, *keys.values())]
         self.calls.append((name, *plain))
         if name in _TEXTS or name == "text_colored":
-            colour = args[0] if name == "text_colored" else self._colours[-1]
+            colour = _plain(args[0]) if name == "text_colored" else self._colours[-1]
             self._line(_TEXTS.get(name, "{}").format(args[-1]) + ("" if colour == "text" else f" [{colour}]"))
         return name not in self.closed
 

@@ -1,4 +1,4 @@
-"""The windows Calibrate and Compare without a window: all that they write, and what a user's input does."""
+"""The window Calibrate without a window: all that it writes, and what a user's input does."""
 
 from concurrent.futures import Future
 from math import radians
@@ -11,10 +11,7 @@ import pytest
 from imgui_bundle import ImVec2
 
 from glstar.errors import ConfigError
-from glstar.images.times import TimeReference
-from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture import fitting
-from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState
 from glstar.viewer.picture.view import ImageView
 from glstar.viewer.ui import calibration
 from glstar.viewer.ui.panels import compare
@@ -69,6 +66,7 @@ def test_the_photograph_has_its_stars_and_detections(drawn: ScriptedImgui, monke
     assert panel.draw(result(), [(59.5, 29.5)], night=False) is None
     assert panel.corner.tolist() == [40.0, 60.0]
     assert drawn.named("add_image") == [[7, (40.0, 60.0), (440.0, 360.0)]]
+    assert drawn.named("push_clip_rect") == [[(40.0, 60.0), (440.0, 360.0), True]]
     # The middle of the panel is (240, 210); a detection has a cross of 8 px, a removed one of 14 px.
     lines = drawn.named("add_line")
     assert lines[:2] == [[(236, 206), (244, 214), GREY], [(236, 214), (244, 206), GREY]]
@@ -231,6 +229,7 @@ def test_the_window_has_the_inputs_progress_and_result(drawn: ScriptedImgui, win
         *("? for stars that are blurred or saturated; needs no exposure time",),
         *("<Calibrate> off", "<Other photograph> off"),
     ]
+    assert drawn.named("progress_bar")[0][1] == (-1.0, 0.0)
     assert drawn.take() == ["=== Calibrate", "a.jpg", *inputs, "25 % detecting", "<Stop>"]
     drawn.answers = {"Stop": True}
     window.draw(session)
@@ -376,149 +375,36 @@ def test_a_calibration_is_saved_and_applied(drawn: ScriptedImgui, window: Any, m
     assert (session.said.pop(), window.is_running) == (("disk full", True), False)
 
 
-# --- the panel Compare ---
+def test_the_photograph_is_drawn_again_when_something_has_changed(
+    drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures: list[Any] = []
+    monkeypatch.setattr(calibration.Picture, "of", lambda *what, scale, night: (what[3], scale, night))
+    panel = calibration.PhotoPanel(None)
+    panel._texture = SimpleNamespace(size=(100, 80), release=lambda: pictures.append("released"))
+    panel._display = SimpleNamespace(draw=lambda picture: pictures.append(picture) or len(pictures), close=lambda: None)
+    drawn.io.display_framebuffer_scale = ImVec2(2.0, 2.0)
+    assert [panel._picture((400, 300), night=False) for _ in range(2)] == [1, 1]
+    assert panel._picture((400, 300), night=True) == 2
+    panel._view.one_to_one()
+    panel._view.pan(3.0, 0.0)
+    assert panel._picture((400, 301), night=True) == 3
+    assert pictures == [((800, 600), 2.0, False), ((800, 600), 2.0, True), ((800, 602), 2.0, True)]
+    panel.close()
+    panel.close()
+    assert pictures[3:] == ["released"]
 
 
-def fitted(**changes: Any) -> fitting.FitResult:
-    values: dict[str, Any] = {"clock_change_s": 0.5, "clock_std_s": 0.00123, "images": 12, "of": 17, "stars": 345}
-    values |= {"mount_keys": {"mount.yaw_deg": 12.3456, "mount.roll_deg": -1.5}}
-    values |= {
-        "turn_rad": tuple(np.deg2rad([0.1, -0.2, 0.3])),
-        "turn_std_rad": tuple(np.deg2rad([0.004, 0.006, 0.005])),
-    }
-    values |= {"centroid_mean_px": 0.456, "centroid_median_px": 0.321, "notes": ("one clock",)}
-    return fitting.FitResult(**values | changes)
-
-
-def test_a_fit_is_reported_and_applied(drawn: ScriptedImgui) -> None:
-    lines = [
-        *("camera clock - log clock -0.7500 s, to 0.0012 s", "mount yaw 12.346, roll -1.500 deg"),
-        *("turned by +0.100, -0.200, +0.300 deg, to 0.006 deg", "12 of 17 images, 345 stars"),
-        *("distance of centroids: mean 0.46 px, median 0.32 px", "one clock"),
-    ]
-    assert compare.fit_report(fitted(), -1.25) == lines
-    assert compare.fit_report(fitted(clock_change_s=None, mount_keys={}), -1.25) == lines[3:]
-    changed: list[Any] = []
-    comparison = SimpleNamespace(images=[1], fit_images="fit", fit=None, ahead_s=-1.25, offset_s=0.125)
-    session = SimpleNamespace(comparison=comparison, loaded="flight", change=lambda **keys: changed.append(keys))
-    panel = compare.FitPanel()
-    about = (
-        *("[x] camera clock", "? fits camera clock - log clock, as glstar compare --fit-time-offset", "[x] mount"),
-        "? fits yaw, pitch and roll of the camera on the aircraft, as glstar compare --fit-mount",
-    )
-    moves = "? moves star trails onto those of up to 48 images; nothing changes until Apply"
-    panel.draw(session)
-    assert drawn.take() == ["--- Fit to the images", *about, "<Fit>", moves]
-    comparison.fit = SimpleNamespace(running=True, done=3, of=12, cancel=lambda: changed.append("cancel"))
-    drawn.answers = {"Stop fitting": True}
-    panel.draw(session)
-    assert (drawn.take(), changed.pop()) == (
-        ["--- Fit to the images", "25 % 3 of 12 images", "<Stop fitting>"],
-        "cancel",
-    )
-    comparison.fit.of = 0
-    panel.draw(session)
-    assert drawn.take()[1] == "0 % 3 of 0 images"
-    comparison.fit = SimpleNamespace(running=False, error="no stars", result=None)
-    panel.draw(session)
-    assert drawn.take()[-2:] == [moves, "no stars [unsaved_marker]"]
-    comparison.fit = SimpleNamespace(running=False, error="", result=fitted())
-    panel.draw(session)
-    applies = ["<Apply>", "? takes the clock and the mount; Ctrl+Z takes back the mount", "<Discard>"]
-    assert drawn.take()[7:] == [*lines, *applies]
-    drawn.answers = {"Apply": True}
-    panel.draw(session)
-    assert (comparison.offset_s, comparison.fit) == (0.625, None)
-    assert changed == [{"mount.yaw_deg": 12.3456, "mount.roll_deg": -1.5}]
-    comparison.fit = SimpleNamespace(running=False, error="", result=fitted(clock_change_s=None, mount_keys={}))
-    panel.draw(session)
-    assert (comparison.offset_s, comparison.fit, len(changed)) == (0.625, None, 1)
-    comparison.fit = SimpleNamespace(running=False, error="", result=fitted())
-    drawn.take()
-    drawn.answers = {"Discard": True}
-    panel.draw(session)
-    assert (comparison.offset_s, comparison.fit, len(changed)) == (0.625, None, 1)
-    # With nothing to fit there is no fit; without images, a flight or a way to fit there is no panel.
-    drawn.take()
-    drawn.answers = {"camera clock": True}
-    panel.draw(session)
-    assert "<Fit>" in drawn.take()
-    drawn.answers = {"mount": True}
-    panel.draw(session)
-    assert "<Fit> off" in drawn.take()
-    for change in ({"images": None}, {"fit_images": None}):
-        panel.draw(SimpleNamespace(comparison=SimpleNamespace(**vars(comparison) | change), loaded="flight"))
-    panel.draw(SimpleNamespace(comparison=comparison, loaded=None))
-    assert drawn.take() == []
-
-
-def test_residuals_have_their_switch_and_figures(drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch) -> None:
-    answers: list[Any] = []
-    monkeypatch.setattr(compare, "residuals_of", lambda _: answers[0])
-    watch = SimpleNamespace(measure="measure", is_running=False)
-    session = SimpleNamespace(
-        comparison=SimpleNamespace(images=[1], residuals=watch), shown_overlays={Overlay.RESIDUALS}
-    )
-    about = "? measures each trail of the real image against the simulated one, as glstar compare"
-    head = ["--- Residuals", "[x] arrows and figures", about]
-    found = fitting.TrailResiduals(np.zeros((3, 2)), np.zeros((3, 2)), 7, (("mean", "0.5 px"), ("SSIM", "0.9")))
-    for answer, running, lines in (
-        (found, False, ["(3 of 7 trails found; simulated minus real)", "(mean)", "0.5 px", "(SSIM)", "0.9"]),
-        ("no trail", True, ["no trail [unsaved_marker]"]),
-        (None, True, ["(measuring ...)"]),
-        (None, False, []),
-    ):
-        answers[:], watch.is_running = [answer], running
-        compare.draw_residual_figures(session)
-        assert drawn.take() == [*head, *lines]
-    drawn.answers = {"arrows and figures": True}
-    compare.draw_residual_figures(session)
-    assert session.shown_overlays == set()
-    drawn.take()
-    compare.draw_residual_figures(session)
-    assert drawn.take()[1] == "[ ] arrows and figures"
-    watch.measure = None
-    compare.draw_residual_figures(session)
-    session.comparison.images, watch.measure = None, "measure"
-    compare.draw_residual_figures(session)
-    assert drawn.take() == []
-
-
-class Images(list):
-    """Real images, of which some files are not usable."""
-
-    time_sources, problems = "times by names", ("a.txt: is no image",)
-
-
-def test_the_panel_lists_its_images_and_their_figures(drawn: ScriptedImgui) -> None:
-    images = Images(
-        SimpleNamespace(
-            path=Path(f"f/{name}.png"), time=SimpleNamespace(utc_s=UTC_S + s, source="name", exposure_s=length)
-        )
-        for name, s, length in (("a", 0.0, None), ("b", 3.0, 0.25), ("c", 66.0, None))
-    )
-    clipper = {"display_start": 1, "display_end": 3, "steps": iter((True, False)), "begin": lambda _: None}
-    drawn.ListClipper = lambda: SimpleNamespace(**clipper, step=lambda: next(clipper["steps"]))
-    state = ComparisonState(lambda: 50.0)
-    state.images, state.mode, state.wipe, state.offset_s = images, ComparisonMode.WIPE, 0.25, 1.5
-    state.flight_offset_s, state.real_gain = -0.25, 2.0
-    panel = compare.ComparisonPanel(state)
-    note = SimpleNamespace(note="scaled by 0.5")
-    asked = panel.draw(UTC_S + 2.5, images[1], note, status="outside")
-    assert asked == compare.PanelRequests()
-    lines = drawn.take()
-    references = "|".join(TimeReference)
-    assert lines == [
-        *("##folder: '' or 'folder of real images, or drop it here'", "<Open>", "times by names"),
-        *("( ) off", "( ) blink", "(o) wipe", "( ) difference", "( ) side by side", "line: 0.250 from 0 to 1"),
-        *("*    -0.750 s  b.png", "-   +62.250 s  c.png", "<< image>", "<image >>", "(2 of 3)"),
-        *("b.png: 2024-03-10T11:00:07.678Z by name, 0.25 s long", "(0.750 s before the play head)", "scaled by 0.5"),
-        *("outside [unsaved_marker]", "--- Camera clock - log clock", "s: 1.500 by 0.01, 1", "<0>"),
-        *("##fine: +1.500 s from -5 to 5", "([flight] time_offset_s = 1.25)"),
-        *(f"of exposure: {state.time_reference} of {references}",),
-        *("? the instant of its exposure to which a real image's time stamp refers", "[x] simulate its exposure time"),
-        *("--- Real image", "black: 0.0000 of white from 0 to 0.5", "gain: x 2.00 from 0.0625 to 256 log"),
-        *("<Save this view>", "> 1 file not usable", "a.txt: is no image [unsaved_marker]"),
-    ]
-    state.images = None
-    state.close()
+def test_a_result_is_taken_when_its_run_has_ended(drawn: ScriptedImgui, window: Any) -> None:
+    window.calibrate, before = "calibrate", result()
+    window.open(calibrating(), Path("a.jpg"))
+    window.result, window.run.result = before, result()
+    window._take()
+    assert window.result is before
+    window.run.running, window.run.result = False, None
+    window._take()
+    assert window.result is before
+    window.run.result = after = result()
+    window._take()
+    assert window.result is after
+    assert drawn.lines == []
