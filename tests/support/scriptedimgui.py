@@ -26,7 +26,7 @@ class ScriptedImgui:
     """
 
     def __init__(self) -> None:
-        self.internal = self
+        self.internal = _Module(self, imgui_bundle.imgui.internal)
         self.lines: list[str] = []
         self.calls: list[tuple[Any, ...]] = []
         self.answers: dict[str, Any] = {}
@@ -349,14 +349,14 @@ def _plain(value: Any) -> Any:
     return (value.x, value.y, value.z, value.w) if isinstance(value, imgui_bundle.ImVec4) else value
 
 
-class _Implot:
-    """The module implot of a double: its own numbers, and the functions of the double."""
+class _Module:
+    """Another module of a double: its own enumerations, and the functions of the double."""
 
-    def __init__(self, drawn: ScriptedImgui) -> None:
-        self._drawn = drawn
+    def __init__(self, drawn: ScriptedImgui, module: ModuleType) -> None:
+        self._drawn, self._module = drawn, module
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(imgui_bundle.implot if name[0].isupper() else self._drawn, name)
+        return getattr(self._module if name[0].isupper() else self._drawn, name)
 
 
 def scripted(
@@ -365,7 +365,7 @@ def scripted(
     """Return a double that stands for imgui and implot in some modules, and in the theme."""
     drawn = drawn or ScriptedImgui()
     for module in (theme, *modules):
-        for name, double in (("imgui", drawn), ("implot", _Implot(drawn))):
+        for name, double in (("imgui", drawn), ("implot", _Module(drawn, imgui_bundle.implot))):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, double)
     return drawn
