@@ -426,7 +426,13 @@ def plot(monkeypatch):
 @pytest.mark.parametrize(
     ("width_m", "label", "length_m"),
     # At most 30 % of the width: 1, 2 or 5 times a power of ten.
-    [(2000.0, "500 m", 500.0), (1600.0, "200 m", 200.0), (20_000.0, "5 km", 5000.0), (3.0, "0.5 m", 0.5)],
+    [
+        (2000.0, "500 m", 500.0),
+        (1600.0, "200 m", 200.0),
+        (5000 / 3, "500 m", 500.0),
+        (20_000.0, "5 km", 5000.0),
+        (3.0, "0.5 m", 0.5),
+    ],
 )
 def test_the_scale_bar_has_a_round_length(plot, width_m, label, length_m):
     plot.limits.x.min, plot.limits.x.max = 100.0, 100.0 + width_m
@@ -508,6 +514,10 @@ def test_the_pitch_ladder_is_parallel_to_the_horizon(plot, roll_deg, pitch_deg):
     state = aircraft(roll_rad=radians(roll_deg), pitch_rad=radians(pitch_deg))
     flightpanel._draw_horizon(state, (belief, unknown), night=False)
     horizon, *rungs, estimated, left_wing, right_wing = plot.named("add_line")
+    # The horizon goes through the panel, in which everything is; the heading has a box.
+    assert all(hypot(x - 190, y - 135) > hypot(300, 150) for x, y in horizon[:2])
+    assert plot.named("push_clip_rect") == [[(40, 60), (340, 210), True]]
+    assert [box[:2] for box in plot.named("add_rect_filled")] == [[(40, 60), (340, 210)], [(162, 60), (218, 74)]]
 
     def normal_form(line):
         """Return the direction of a line to the right, and its distance below the centre along its own normal."""

@@ -477,7 +477,7 @@ class Timeline:
         if (gap := lines.attitude.gap_within(utc_s, utc_s)) is not None:
             imgui.set_tooltip(f"{second:.3f} s\n{gap.reason} of {gap.duration_s:.3f} s")
             return
-        sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
+        sample = int(np.searchsorted(lines.second, second))
         angles_deg = np.rad2deg(lines.angles_rad[:, sample])
         angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
         for log in self._others:

@@ -1,0 +1,538 @@
+"""Dialogs, welcome, tour, manual and list of keys without a window: all that they write, and their effects."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from imgui_bundle import ImVec2
+
+from glstar.config import Config
+from glstar.errors import ConfigError
+from glstar.export.imagefiles.formats import ImageFormat
+from glstar.system.resources import MANUAL_KINDS, bundled_flight
+from glstar.viewer.flight.loaded import MissingInputs
+from glstar.viewer.session.keys import KEYS, MENUS, Action
+from glstar.viewer.session.memory import Place
+from glstar.viewer.session.recording import RangeVideo, VideoRange
+from glstar.viewer.ui import dialogs, guide
+from tests.support.scriptedimgui import ScriptedImgui, scripted
+
+UTC_S = 1710068404.678
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> ScriptedImgui:
+    drawn = scripted(monkeypatch, dialogs, guide)
+    monkeypatch.setattr(dialogs.time, "time", lambda: UTC_S)
+    return drawn
+
+
+def session(tmp_path: Path = Path("out"), **changes: Any) -> SimpleNamespace:
+    said: list[Any] = []
+    head = SimpleNamespace(origin_s=1000.0, first_s=1000.0, last_s=1060.0, length_s=60.0, part=(1012.5, 1040.25))
+    values = {"head": head, "flight": SimpleNamespace(name="flight"), "config": Config(), "output": tmp_path}
+    values |= {"video": None, "live": None, "loaded": SimpleNamespace(path=None), "missing": None, "status": ""}
+    values |= {"said": said, "notify": lambda text, *, is_error=False: said.append((text, is_error))}
+    values["cancel_missing"] = lambda: said.append("cancelled")
+    values["open_flight"] = said.append
+    values["loader"] = SimpleNamespace(is_busy=False)
+    return SimpleNamespace(**values | changes)
+
+
+# --- files ---
+
+
+def test_a_path_is_typed_and_taken_with_enter_or_ok(drawn: ScriptedImgui) -> None:
+    taken: list[Path] = []
+    chooser = dialogs.FileChooser()
+    chooser.draw()
+    assert drawn.take() == []
+    chooser.ask("open", "Open a log", Path("a/b.bin"), taken.append)
+    chooser.draw()
+    assert drawn.named("open_popup") == [["Open a log"]]
+    assert len(drawn.named("set_keyboard_focus_here")) == 1
+    assert drawn.named("set_next_item_width") == [[660.0]]
+    assert drawn.take() == ["##path: 'a/b.bin'", "(or drop it onto the window)", "<OK>", "<Cancel>"]
+    chooser.draw()
+    assert drawn.named("open_popup") + drawn.named("set_keyboard_focus_here") + taken == []
+    for answers, path in (({"##path": " c/d.bin "}, Path("c/d.bin")), ({"OK": True}, Path("c/d.bin"))):
+        drawn.take()
+        drawn.answers = answers
+        chooser.draw()
+        assert taken.pop() == path
+        assert len(drawn.named("close_current_popup")) == 1
+    drawn.take()
+    drawn.answers = {"##path": "  "}
+    chooser.draw()
+    assert taken == []
+    drawn.take()
+    drawn.pressed = {"escape"}
+    chooser.draw()
+    assert len(drawn.named("close_current_popup")) == 1
+    drawn.closed = {"Open a log"}
+    drawn.take()
+    chooser.draw()
+    assert drawn.take() == []
+
+
+class Native:
+    """The system's dialogs, as portable_file_dialogs gives them."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, ...]] = []
+        self.answer: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *what: self.asked.append((name, *what)) or self
+
+    def ready(self, _: int) -> bool:
+        return self.answer is not None
+
+    def result(self) -> Any:
+        return self.answer
+
+
+@pytest.mark.usefixtures("drawn")
+@pytest.mark.parametrize(
+    ("kind", "function", "answer", "path"),
+    [
+        ("open", "open_file", ["x/y.bin"], Path("x/y.bin")),
+        ("save", "save_file", "x/y.toml", Path("x/y.toml")),
+        ("folder", "select_folder", "", None),
+        ("open", "open_file", [], None),
+    ],
+)
+def test_the_system_s_dialog_is_of_the_kind_asked_for(
+    monkeypatch: pytest.MonkeyPatch, kind: Any, function: str, answer: Any, path: Path | None
+) -> None:
+    native, taken = Native(), []
+    monkeypatch.setattr(dialogs, "pfd", native)
+    chooser = dialogs.FileChooser(native=True)
+    chooser.ask(kind, "Title", Path("z"), taken.append)
+    chooser.ask("save", "Another", Path("q"), taken.append)
+    assert native.asked == [(function, "Title", "z")]
+    assert not chooser.is_answered
+    chooser.draw()
+    native.answer = answer
+    assert chooser.is_answered
+    chooser.draw()
+    assert taken == ([] if path is None else [path])
+    assert not chooser.is_answered
+    chooser.close()
+    assert len(native.asked) == 1
+    chooser.ask(kind, "Title", Path("z"), taken.append)
+    chooser.close()
+    assert native.asked[2:] == [("kill",)]
+
+
+# --- ranges ---
+
+
+def test_a_range_is_exported_between_the_points_or_as_typed(
+    drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    saved: list[Any] = []
+    monkeypatch.setattr(dialogs, "save_range", lambda _, *what, **keys: saved.append((*what, keys)))
+    monkeypatch.setattr(dialogs, "file_stem", lambda _: "night-12.5s")
+    shown, dialog = session(tmp_path), dialogs.ExportDialog()
+    dialog.ask(SimpleNamespace(head=None))
+    dialog.ask(SimpleNamespace(head=1, flight=None))
+    dialog.draw(shown)
+    assert drawn.named("open_popup") == []
+    drawn.take()
+    dialog.ask(shown)
+    dialog.draw(shown)
+    assert drawn.named("open_popup") == [["Export a range"]]
+    formats = "|".join(["fits the sensor", *ImageFormat.__args__])
+    path = str(tmp_path / "night-12.5s-frames")
+    assert drawn.named("push_item_width") == [[660 * 0.45]]
+    assert drawn.take() == [
+        *("from, s: 12.500 by 1, 10", "to, s: 40.250 by 1, 10", f"format: fits the sensor of {formats}"),
+        *("[ ] noiseless image too (float32 TIFF)", f"##path: '{path}'"),
+        *("(10 exposures of 0.5 s, one every 3 s)", "<Export>", "<Cancel>"),
+    ]
+    drawn.answers = {"format": 2, "noiseless image too (float32 TIFF)": True, "from, s": 15.25, "##path": " ~/x "}
+    dialog.draw(shown)
+    drawn.take()
+    drawn.answers = {"Export": True}
+    dialog.draw(shown)
+    ((directory, keys),) = saved
+    assert directory == Path("~/x").expanduser()
+    assert keys == {"start_s": 15.25, "stop_s": 40.25, "image_format": ImageFormat.__args__[1], "noiseless": True}
+    assert len(drawn.named("close_current_popup")) == 1
+    # Enter exports, too, unless a field is being typed into; an empty part or no path cannot be.
+    for pressed, answers, lines, count in (
+        ({"enter"}, {}, "<Export>", 2),
+        ({"enter", "active"}, {}, "<Export>", 2),
+        ({"enter"}, {"##path": "  "}, "<Export> off", 2),
+        ({"enter"}, {"##path": "y", "to, s": 15.25}, "<Export> off", 2),
+        ({"enter"}, {"from, s": -5.0, "to, s": 0.4}, "<Export> off", 2),
+        ({"enter"}, {"from, s": 59.0, "to, s": 70.0}, "<Export>", 3),
+    ):
+        drawn.take()
+        drawn.pressed, drawn.answers = pressed, answers
+        dialog.draw(shown)
+        assert lines in drawn.lines
+        assert len(saved) == count
+    assert "(1 exposures of 0.5 s, one every 3 s)" in drawn.lines
+    # A name that was typed stays; without one there is that of the flight.
+    dialog.ask(shown)
+    assert (dialog.path, dialog.start_s, dialog.stop_s) == ("y", 12.5, 40.25)
+
+
+def test_a_video_of_a_range_has_a_speed_and_a_rate(
+    drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(dialogs, "file_stem", lambda _: "night-12.5s")
+    shown, dialog = session(tmp_path), dialogs.VideoDialog()
+    dialog.ask(shown)
+    drawn.answers = {"times real time": 4.0, "frames/s": 20.0}
+    dialog.draw(shown)
+    path = str(tmp_path / "night-12.5s-range.webm")
+    # 27.75 s at four times real time are 6.94 s of video, and 139 pictures of it.
+    assert drawn.take() == [
+        *("from, s: 12.500 by 1, 10", "to, s: 40.250 by 1, 10", "times real time: 1 by 0, 0"),
+        *(f"frames/s: {dialogs.SCREEN_FRAMES_PER_S:g} by 0, 0", f"##path: '{path}'"),
+        *("(139 frames, 7.0 s; the picture as it is shown, with its overlays)", "<Record>", "<Cancel>"),
+    ]
+    drawn.answers = {"Record": True, "##path": "some/name", "from, s": -3.0, "to, s": 99.0}
+    dialog.draw(shown)
+    assert isinstance(shown.video, RangeVideo)
+    assert (shown.video.path, shown.video._part) == (Path("some/name.webm"), VideoRange(1000.0, 1060.0, 4.0, 20.0))
+    drawn.take()
+    drawn.answers = {"from, s": 50.0, "to, s": 40.0}
+    dialog.draw(shown)
+    lines = drawn.take()
+    assert lines[-3].endswith(" [unsaved_marker]")
+    assert lines[-2] == "<Record> off"
+    dialog.ask(shown)
+    assert shown.said == [("a video is being recorded; end it first (Ctrl+R)", True)]
+
+
+# --- what a log lacks, and the sky of a place ---
+
+
+def test_missing_inputs_are_asked_for_until_they_are_valid(drawn: ScriptedImgui) -> None:
+    dialog, refusals = dialogs.MissingDialog(), ["no time: 'x'"]
+    missing = MissingInputs.from_link("udp:1", {"latitude_deg": "-34.9"})
+
+    def give(_: object, typed: dict[str, str]) -> None:
+        shown.said.append(dict(typed))
+        if refusals:
+            raise ConfigError(refusals[0])
+
+    shown = session(give=give)
+    dialog.draw(shown)
+    assert drawn.named("open_popup") == []
+    drawn.closed = {"Missing UTC or position"}
+    dialog.draw(shown)
+    assert shown.said == []
+    drawn.closed = set()
+    shown.missing = missing
+    drawn.take()
+    dialog.draw(shown)
+    assert drawn.named("open_popup") == [["Missing UTC or position"]]
+    assert len(drawn.named("set_keyboard_focus_here")) == 1
+    lines = drawn.take()
+    assert lines[:2] == [missing.message, f"({missing.note})"]
+    assert lines[2].startswith(f"{missing.fields[0].label}: '-34.9' or '")
+    assert lines[2 + len(missing.fields) :] == ["<OK>", "<Cancel>"]
+    drawn.answers = {"OK": True}
+    dialog.draw(shown)
+    assert shown.said[0]["latitude_deg"] == "-34.9"
+    assert drawn.named("close_current_popup") + drawn.named("set_keyboard_focus_here") == []
+    drawn.take()
+    dialog.draw(shown)
+    assert "no time: 'x' [unsaved_marker]" in drawn.take()
+    # What is typed removes the refusal of what was typed before; Enter gives it.
+    refusals.clear()
+    label = missing.fields[1].label
+    drawn.answers = {label: "138.6"}
+    dialog.draw(shown)
+    assert shown.said[1]["longitude_deg"] == "138.6"
+    assert len(drawn.named("close_current_popup")) == 1
+    assert "no time: 'x' [unsaved_marker]" in drawn.take()
+    dialog._error, typed = "old", dict(dialog._typed)
+    monkeyed = dialogs.draw_fields
+    try:
+        dialogs.draw_fields = lambda _f, typed, *_, **__: typed.update(height_m="7") or False
+        dialog.draw(shown)
+    finally:
+        dialogs.draw_fields = monkeyed
+    assert "old [unsaved_marker]" not in drawn.take()
+    assert dialog._typed == typed | {"height_m": "7"}
+    drawn.pressed = {"escape"}
+    dialog.draw(shown)
+    assert shown.said[-1] == "cancelled"
+    drawn.closed = {"Missing UTC or position"}
+    dialog.draw(shown)
+    assert shown.said[-2:] == ["cancelled"] * 2
+    drawn.pressed, drawn.closed, shown.missing = set(), set(), None
+    drawn.take()
+    dialog.draw(shown)
+    assert len(drawn.named("close_current_popup")) == 1
+
+
+def test_the_sky_of_a_place_is_shown_now_or_at_a_typed_time(
+    drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Any] = []
+    zone: list[Place | None] = [Place(-34.9285, 138.6007, 50.0, "Adelaide")]
+    monkeypatch.setattr(dialogs, "open_sky", lambda _, *what: opened.append(what))
+    monkeypatch.setattr(dialogs.Place, "of_time_zone", classmethod(lambda _: zone[0]))
+    shown, dialog = session(), dialogs.SkyDialog()
+    dialog.show_now(shown)
+    assert opened == [(zone[0], UTC_S)]
+    said = shown.said[0][0]
+    assert said.startswith("Adelaide, by this computer's time zone; another place: ")
+    dialog.draw(shown)
+    assert drawn.named("open_popup") == []
+    dialog.ask(shown)
+    drawn.take()
+    dialog.draw(shown)
+    assert drawn.named("open_popup") == [["Sky of a place and time"]]
+    fields = [line.partition(" or ")[0] for line in drawn.take()]
+    assert fields[0] == "UTC: '2024-03-10T11:00:04Z'"
+    assert [line.rpartition(": ")[2] for line in fields[1:4]] == ["'-34.9285'", "'138.601'", "'50'"]
+    assert fields[4:] == ["<Now>", "<OK>", "<Cancel>"]
+    labels = [field.label for field in dialogs._SKY_FIELDS]
+    drawn.answers = {"OK": True, labels[0]: "2024-03-10T12:00:00Z", labels[1]: "91"}
+    dialog.draw(shown)
+    assert len(opened) == 1
+    drawn.take()
+    dialog.draw(shown)
+    assert any(line.endswith("[unsaved_marker]") for line in drawn.take())
+    drawn.answers = {labels[1]: "10.5", labels[2]: "20", labels[3]: "30"}
+    dialog.draw(shown)
+    assert len(drawn.named("close_current_popup")) == 1
+    place, utc_s = opened[1]
+    assert (place.latitude_deg, place.longitude_deg, place.height_m) == pytest.approx((10.5, 20.0, 30.0))
+    assert (utc_s, dialog.place) == (UTC_S - 4.678 + 3600.0, place)
+    drawn.take()
+    drawn.answers = {"Now": True}
+    dialog.draw(shown)
+    assert dialog._typed["utc_start"] == "2024-03-10T11:00:04Z"
+    # The place typed last is that of now; without any place the dialog asks for it.
+    dialog.show_now(shown)
+    assert (opened[-1], len(shown.said)) == ((place, UTC_S), 1)
+    other, zone[0] = dialogs.SkyDialog(), None
+    other.show_now(shown)
+    assert other._opening
+    assert other._typed == {"utc_start": "2024-03-10T11:00:04Z"}
+    other.draw(shown)
+    assert not other._opening
+
+
+def test_a_link_is_chosen_among_ports_and_examples_or_typed(
+    drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ports = [SimpleNamespace(device="/dev/ttyUSB0", description="radio")]
+    monkeypatch.setattr(dialogs, "serial_ports", lambda: ports)
+    shown, dialog = session(), dialogs.ConnectDialog()
+    assert dialog.draw() is None
+    assert drawn.named("open_popup") == []
+    drawn.take()
+    dialog.ask(shown)
+    dialog.draw()
+    assert drawn.named("open_popup") == [["Connect to a telemetry link"]]
+    assert drawn.named("set_next_item_width") == [[190.0], [570.0]]
+    assert drawn.take() == [
+        *("baud: 57600 of 57600|115200|921600", "- /dev/ttyUSB0,57600   radio"),
+        *("* udpin:127.0.0.1:14550   MAVProxy or QGroundControl forward to here",),
+        *("- tcp:127.0.0.1:5760   an ArduPilot simulator", "##link: 'udpin:127.0.0.1:14550'", "<Connect>", "<Cancel>"),
+    ]
+    drawn.answers = {"baud": 2, "/dev/ttyUSB0,921600   radio": True}
+    assert dialog.draw() is None
+    drawn.take()
+    drawn.answers = {"Connect": True}
+    assert dialog.draw() == "/dev/ttyUSB0,921600"
+    assert len(drawn.named("close_current_popup")) == 1
+    drawn.take()
+    for typed, link in ((" udp:1 ", "udp:1"), ("  ", None)):
+        drawn.answers = {"##link": typed}
+        assert dialog.draw() == link
+    ports.clear()
+    dialog.ask(shown)
+    drawn.take()
+    dialog.draw()
+    assert drawn.take()[0] == "(no serial port: nothing is plugged in)"
+    shown.live = SimpleNamespace(status=SimpleNamespace(endpoint="udp:9"))
+    dialog.ask(shown)
+    dialog.draw()
+    assert drawn.named("open_popup") == []
+    assert shown.said == [("udp:9 is open already; start another glstar for a second link", False)]
+
+
+# --- the guide ---
+
+
+def test_the_welcome_offers_what_there_is(drawn: ScriptedImgui) -> None:
+    done: list[Any] = []
+    shown = session(loaded=None)
+
+    def draw(*clicked: str, recent: tuple[str, ...] = ()) -> list[str]:
+        drawn.take()
+        drawn.answers = dict.fromkeys(clicked, True)
+        guide.draw_welcome(shown, list(recent), done.append, lambda _: done.append("now"))
+        return drawn.lines
+
+    lines = draw(recent=("/a/one.bin", "/b/50%.ulg"))
+    assert lines == [
+        *("=== ##welcome", "glstar [text_link]", "What a camera fixed to an aircraft records of the night sky."),
+        *("--- Open", "<Open a flight log  (Ctrl+O)>", "<Connect to a telemetry link  (Ctrl+L)>"),
+        *("(or drop a log onto the window)", "--- Sky", "<Here and now>", "<Of a place and time  (Ctrl+K)>"),
+        *("--- Try", "<The bundled flight over Adelaide>", "<An orbit of 300 m radius in light gusts>"),
+        *("--- Recent flights", "- one.bin", "? /a/one.bin", "- 50%.ulg", "? /b/50%%.ulg"),
+    ]
+    # The panels on the right need 300 px at 1.5 px a unit: the other 450 px have its middle; the text has 406 px.
+    assert drawn.named("set_next_window_pos")[0][0] == (10 + 225, 20 + 216)
+    assert {size for _, size in drawn.named("button")} == {(450 - 44.0, 0.0)}
+    draw("Open a flight log  (Ctrl+O)", "Connect to a telemetry link  (Ctrl+L)", "Of a place and time  (Ctrl+K)")
+    draw("Here and now")
+    assert done == [Action.OPEN, Action.CONNECT, Action.SKY, "now"]
+    draw("The bundled flight over Adelaide", "An orbit of 300 m radius in light gusts")
+    draw("50%.ulg", recent=("/a/one.bin", "/b/50%.ulg"))
+    assert shown.said == [bundled_flight(), Path("fly:orbit?radius_m=300&gusts=light"), Path("/b/50%.ulg")]
+    drawn.take()
+    for change in ({"loaded": 1}, {"live": 1}, {"loader": SimpleNamespace(is_busy=True)}, {"status": "broken"}):
+        guide.draw_welcome(SimpleNamespace(**vars(shown) | change), [], done.append, done.append)
+        assert drawn.take() == []
+
+
+def test_the_tour_goes_on_and_back_and_ends(drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn.find_window_by_name = lambda _: drawn.window
+    drawn.window, drawn.hidden, drawn.pos, drawn.size, drawn.draw_list = (
+        drawn,
+        False,
+        ImVec2(5, 6),
+        ImVec2(70, 80),
+        drawn,
+    )
+    tour = guide.Tour()
+    tour.draw()
+    assert drawn.lines == []
+    tour.ask()
+    shown = []
+    for clicked in ("Back", "Next", "Next", "Back", "Next", "Next", "Next", "Next", "Done"):
+        drawn.take()
+        if clicked != "Back" or tour.step:
+            drawn.answers = {clicked: True}
+        tour.draw()
+        lines = drawn.lines
+        shown.append(int(lines[1].partition(" of 6: ")[0]))
+        is_last = shown[-1] == 6
+        buttons = [line for line in lines if line.startswith("<")]
+        back = "<Back> off" if shown[-1] == 1 else "<Back>"
+        assert buttons == (["<Done>", back] if is_last else ["<Next>", back, "<Skip the tour>"])
+        # At the right edge, 12 px from it, above 82 % of the height; the panel has a frame.
+        assert drawn.named("set_next_window_pos")[0][0] == (910 - 12.0, pytest.approx(20 + 0.82 * 600))
+        assert drawn.named("add_rect")[0][:2] == [(5, 6), (75, 86)]
+    assert shown == [1, 1, 2, 3, 2, 3, 4, 5, 6]
+    assert tour.step is None
+    for end in ({"Skip the tour": True}, {"Tour": "close"}):
+        tour.ask()
+        drawn.take()
+        drawn.answers = end
+        tour.draw()
+        assert tour.step is None
+    tour.ask()
+    drawn.take()
+    drawn.closed, drawn.hidden = {"Tour"}, True
+    tour.draw()
+    assert drawn.lines == ["=== Tour"]
+    assert drawn.named("add_rect") == []
+    drawn.window = None
+    tour.draw()
+    # The text wraps at 390 px from the window's edge, 350 px from the cursor on, and has the height of the longest.
+    drawn.take()
+    guide._draw_text("short", 390.0)
+    longest = max(-(-8 * len(guide._with_keys(step.text)) // 350) for step in guide.STEPS)
+    assert drawn.named("push_text_wrap_pos") == [[390.0]]
+    assert drawn.named("dummy") == [[(0.0, 10.0 * longest - 18)]]
+    monkeypatch.setattr(guide, "shown_chord", "[{}]".format)
+    assert guide._with_keys("a {Ctrl+O}, {0} b") == "a [Ctrl+O], [0] b"
+
+
+def test_the_manual_has_its_pages_and_their_blocks(
+    drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "a.md").write_text(
+        "# Title *x*\n\nSome **bold** text\ngoes on.\n\n- item [one](b.md)\n  more\n2. two\n\n"
+        "```\ncode *as is*\n  in\n```\n| a | b |\n|---|:-:|\n| `1` | 2 \\| 3 |\n<!-- gone -->\n"
+    )
+    monkeypatch.setattr(guide, "manual_pages", lambda: {"viewer": tmp_path / "a.md"})
+    monkeypatch.setattr(guide, "MANUAL_KINDS", {"Start: here": ("viewer", "lens"), "More": ("sky",)})
+    window = guide.ManualWindow()
+    window.draw()
+    assert drawn.lines == []
+    window.is_open = True
+    window.draw()
+    assert drawn.lines == [
+        *("=== Manual", "--- Start", "* viewer", "- lens", "--- More", "- sky", "Title x [text_link]"),
+        *("Some bold text goes on.", "item one more", "2. two", "(code *as is*\n  in)", "a", "b", "1", "2 | 3"),
+    ]
+    assert drawn.named("begin_table")[0][:2] == ["##table5", 2]
+    assert [len(drawn.named(name)) for name in ("bullet", "table_next_row", "table_next_column", "spacing")] == [
+        2,
+        2,
+        4,
+        7,
+    ]
+    # 900 x 680 px at 1.5 px a unit, at most the window less its margins.
+    assert drawn.named("set_next_window_size")[0][0] == (860.0, 540.0)
+    drawn.take()
+    drawn.answers = {"lens": True}
+    window.draw()
+    assert drawn.lines[-1] == "- sky"
+    drawn.take()
+    drawn.answers = {"viewer": True}
+    window.draw()
+    assert "2. two" in drawn.lines
+    for answers, pressed in (({"Manual": "close"}, set()), ({}, {"escape"})):
+        drawn.take()
+        drawn.answers, drawn.pressed, window.is_open = answers, pressed, True
+        window.draw()
+        assert not window.is_open
+    drawn.pressed, drawn.closed, window.is_open = set(), {"Manual"}, True
+    drawn.take()
+    window.draw()
+    assert drawn.lines == ["=== Manual"]
+    assert set(MANUAL_KINDS) != {"Start: here", "More"}
+
+
+def test_the_list_of_keys_has_two_columns_where_they_fit(drawn: ScriptedImgui) -> None:
+    assert not guide.draw_help(is_open=False)
+    assert drawn.lines == []
+    drawn.get_column_index = lambda: len(drawn.named("next_column"))
+    with_keys = [key for key in KEYS if key.chords]
+    longest_px = 8 * max(len("  " + ", ".join(key.chords)) for key in with_keys) + 24
+    column_px = longest_px + 8 * max(len(key.label) for key in with_keys) + 24
+    for width_px, columns in ((2 * column_px + 48 + 36, 2), (2 * column_px + 48 + 35, 1)):
+        drawn.take()
+        drawn.get_main_viewport = lambda width_px=width_px: SimpleNamespace(
+            size=ImVec2(width_px, 2000.0), get_center=lambda: ImVec2(0, 0)
+        )
+        assert guide.draw_help(is_open=True)
+        assert drawn.named("columns") == [[columns, "##keys", False], [1]]
+        assert drawn.named("set_next_window_size")[0][0] == (columns * column_px + 36, 1095.0)
+        assert len(drawn.named("next_column")) == columns - 1
+        assert [args for args in drawn.named("same_line") if args] == [[longest_px]] * len(with_keys)
+    lines = drawn.take()
+    assert [line.removesuffix(" [text_link]") for line in lines if line.endswith("[text_link]")] == list(MENUS)
+    assert [line for line in lines if not line.startswith(("(", "=")) and "[text" not in line] == [
+        key.label for menu in MENUS for key in with_keys if key.menu == menu
+    ]
+    # A menu begins the second column when three rows less than half of all are above it.
+    at = {menu: k for k, menu in enumerate(MENUS)}
+    rows = [sum(key.menu == menu for key in with_keys) + 1 for menu in MENUS]
+    half = (len(KEYS) + len(MENUS)) // 2
+    second = next(menu for menu in MENUS if sum(rows[: at[menu]]) >= half - 3)
+    drawn.get_main_viewport = lambda: SimpleNamespace(size=ImVec2(9000.0, 2000.0), get_center=lambda: ImVec2(0, 0))
+    guide.draw_help(is_open=True)
+    number = next(k for k, call in enumerate(drawn.calls) if call[0] == "next_column")
+    assert next(call for call in drawn.calls[number:] if call[0] == "text_colored")[2] == second
+    drawn.pressed = {"escape"}
+    assert not guide.draw_help(is_open=True)
+    drawn.pressed, drawn.answers = set(), {"Keys": "close"}
+    assert not guide.draw_help(is_open=True)

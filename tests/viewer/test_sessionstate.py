@@ -1,0 +1,585 @@
+"""The session without OpenGL: what is opened, shown, said and installed, against doubles of its parts."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.config import Config, ExposureSection
+from glstar.errors import ConfigError, TelemetryError
+from glstar.viewer.flight.loaded import SITE_KEYS, MissingInputs
+from glstar.viewer.flight.playhead import Mode, PlayHead
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.picture.comparison import ComparisonMode
+from glstar.viewer.session import state
+from glstar.viewer.session.state import Session
+from tests.viewer.test_actions import Noting
+
+SECTION = ExposureSection(duration_s=0.5, interval_s=3.0)
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Any:
+    made = Session(None, Config(), output=tmp_path / "saved", clock=lambda: 50.0)
+    yield made
+    made.live = made.export = made.video = None
+    made.close()
+
+
+def said(session: Session) -> list[tuple[str, bool]]:
+    """Return the messages since the last call."""
+    current = [(each.message, each.is_error) for each in session.notifications.current]
+    for each in list(session.notifications.current):
+        session.notifications.dismiss(each)
+    return current
+
+
+def attitude(first_s: float = 1000.0, last_s: float = 1060.0, gaps: dict[float, str] | None = None) -> SimpleNamespace:
+    found = gaps or {}
+    return SimpleNamespace(
+        first_s=first_s, last_s=last_s, gap_within=lambda start_s, stop_s: found.get(start_s) or found.get(stop_s)
+    )
+
+
+def flight(**changes: Any) -> Noting:
+    """Return a loaded flight of 60 s."""
+    inner = SimpleNamespace(attitude=attitude(), time_offset_s=0.25, notes=("a note",), name="night.bin")
+    values = {"flight": inner, "head": PlayHead(1000.0, 1060.0, SECTION), "is_live": False, "path": Path("night.bin")}
+    values |= {"given": {}, "config": Config(), "simulator": SimpleNamespace(flight=inner), "done": []}
+    return Noting(**values | changes)
+
+
+# --- what is opened ---
+
+
+def test_a_path_is_opened_by_what_it_is(session: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[Any] = []
+    monkeypatch.setattr(session.comparison, "open", lambda path: opened.append(("images", path.name)))
+    monkeypatch.setattr(session, "open_settings", lambda path: opened.append(("settings", path.name)))
+    monkeypatch.setattr(session, "open_flight", lambda path: opened.append(("flight", path.name)))
+    monkeypatch.setattr(session, "change", lambda **keys: opened.append(keys))
+    monkeypatch.setattr(state, "is_bag_directory", lambda path: path.name == "bag")
+    for name in ("images", "bag"):
+        (tmp_path / name).mkdir()
+    names = ("images", "bag", "a.TOML", "b.yaml", "c.YML", "d.json", "e.bin", "f")
+    for name in names:
+        session.open(tmp_path / name)
+    assert opened == [
+        *(("images", "images"), ("flight", "bag"), ("settings", "a.TOML")),
+        *({"camera.file": str(tmp_path / name)} for name in names[3:6]),
+        *(("flight", "e.bin"), ("flight", "f")),
+    ]
+
+
+def test_a_log_is_read_without_what_was_given_for_another(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Any] = []
+    monkeypatch.setattr(session.loader, "read", lambda *what: read.append(what))
+    own = session.config
+    session.open_flight(Path("a.bin"))
+    session._given = {"flight.utc_start": "2024-03-10T11:00:00Z"}
+    session.config = own.override(**session._given)
+    session.open_flight(Path("b.bin"))
+    assert [(path, given) for path, _, given in read] == [(Path("a.bin"), {}), (Path("b.bin"), {})]
+    assert read[0][1] is own
+    assert read[1][1].flight.utc_start is None
+
+
+def test_settings_are_taken_or_refused_and_keep_what_was_given(session: Any, tmp_path: Path) -> None:
+    given = {"flight.utc_start": "2024-03-10T11:00:00Z", "flight.latitude_deg": 10.0, "flight.longitude_deg": 20.0}
+    session._given, session.config = given, session.config.override(**given)
+    (tmp_path / "a.toml").write_text("[exposure]\nduration_s = 0.75\n")
+    session.open_settings(tmp_path / "a.toml")
+    assert said(session) == [("settings of a.toml", False)]
+    flight_keys = session.config.flight
+    assert (session.config.exposure.duration_s, flight_keys.utc_start, flight_keys.latitude_deg) == (
+        *(0.75, "2024-03-10T11:00:00Z", 10.0),
+    )
+    assert session._given == given
+    # Those of the file have precedence: a time, or a site with all of its keys.
+    (tmp_path / "b.toml").write_text('[flight]\nutc_start = "2025-01-01T00:00:00Z"\n')
+    session.open_settings(tmp_path / "b.toml")
+    assert session._given == {key: given[key] for key in ("flight.latitude_deg", "flight.longitude_deg")}
+    assert session.config.flight.utc_start == "2025-01-01T00:00:00Z"
+    session._given = given
+    (tmp_path / "c.toml").write_text("[flight]\nlatitude_deg = -5\nlongitude_deg = 6\n")
+    session.open_settings(tmp_path / "c.toml")
+    assert session._given == {"flight.utc_start": "2024-03-10T11:00:00Z"}
+    said(session)
+    before = session.config
+    (tmp_path / "d.toml").write_text("[exposure]\nduration_s = -1\n")
+    session.open_settings(tmp_path / "d.toml")
+    ((message, is_error),) = said(session)
+    assert ("duration_s" in message, is_error, session.config is before) == (True, True, True)
+    session.change(**{"exposure.duration_s": -1.0})
+    assert (said(session)[0][1], session.config is before) == (True, True)
+
+
+# --- settings of a flight ---
+
+
+def test_new_settings_go_to_the_flight_and_the_log_is_read_again_if_they_matter(
+    session: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followed: list[Any] = []
+    monkeypatch.setattr(session.loader, "follow", lambda *what: followed.append(what))
+    session.loaded = loaded = flight()
+    bits = session.config.override(**{"sensor.bit_depth": 10})
+    stretch = session.stretch
+    session.use(bits)
+    assert (loaded.done, session.config, followed) == ([("use", bits)], bits, [])
+    assert session.stretch.boost == pytest.approx(stretch.boost * 1023 / 255)
+    offset = bits.override(**{"flight.time_offset_s": 2.0})
+    session.use(offset)
+    other = offset.override(**{"navigator.attitude": "NKF1"})
+    session.use(other)
+    assert followed == [(loaded, offset, {}), (loaded, other, {})]
+    assert said(session) == []
+    loaded.path = None
+    session.use(other.override(**{"navigator.attitude": "model"}))
+    assert said(session) == []
+    session.use(session.config.override(**{"flight.time_offset_s": 3.0}))
+    assert said(session) == [("[flight] of the settings is for logs; the flags of glstar live are for links", False)]
+    assert len(followed) == 2
+
+
+# --- missing inputs ---
+
+
+def test_what_a_link_or_a_log_lacks_is_given_or_refused(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    sites: list[Any] = []
+    session.ask_for_site()
+    assert session.missing is None
+    session.live = live = SimpleNamespace(
+        status=SimpleNamespace(endpoint="udp:1"), link=SimpleNamespace(set_site=sites.append)
+    )
+    session.ask_for_site()
+    missing = session.missing
+    assert "udp:1" in missing.message
+    typed = {"latitude_deg": "-34.9", "longitude_deg": "138.6", "height_m": ""}
+    with pytest.raises(ConfigError):
+        session.give(missing, typed | {"latitude_deg": "91"})
+    assert (session.missing, sites) == (missing, [])
+    session.give(missing, typed)
+    assert (session.missing, len(sites)) == (None, 1)
+    assert np.rad2deg([sites[0].latitude_rad, sites[0].longitude_rad]) == pytest.approx([-34.9, 138.6])
+    assert session.loader.typed_site == typed
+    session.live = None
+    session.give(missing, typed)
+    assert len(sites) == 1
+    again: list[Any] = []
+    monkeypatch.setattr(session.loader, "read_again", lambda *what: again.append(what))
+    log = MissingInputs.from_log(Path("a.bin"), {"UTC": "no GPS"}, {}, {})
+    session.give(log, {"utc_start": "x"})
+    assert again == [(session.config, log, {"utc_start": "x"})]
+    # The log of the loader has precedence over the site of the link; both are cancelled together.
+    session.live = live
+    session.ask_for_site()
+    session.loader.missing = log
+    assert session.missing is log
+    session.cancel_missing()
+    assert (session.missing, session._opening_error) == (None, "")
+    session.live, session.loader.missing, session.loaded = None, log, flight()
+    session.cancel_missing()
+    assert session._opening_error == ""
+    session.loaded, session.loader.missing = None, log
+    session.cancel_missing()
+    assert session.status == f"{log.message}\nOpen it again (Ctrl+O) to give what it lacks."
+    session._opening_error = ""
+    session.cancel_missing()
+    assert session.status == ""
+    assert tuple(typed) == SITE_KEYS
+
+
+# --- what is said of the image ---
+
+
+def test_the_status_names_the_first_reason(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(state, "_status_at", lambda *what: f"status of {what[0].path}")
+    session.live = live = SimpleNamespace(
+        lacking="no UTC yet", stale_s=None, stale_message=lambda s: f"{s} s old", status=SimpleNamespace(problem=None)
+    )
+    assert session.status == ""
+    session._shows_link = True
+    assert session.status == "no UTC yet"
+    session.loaded = flight()
+    assert session.status == "status of night.bin"
+    live.stale_s = 2.5
+    assert session.status == "status of night.bin"
+    session.loaded.head.live = True
+    assert (session.status, session.stale_s) == ("2.5 s old", 2.5)
+    live.status.problem = "port closed"
+    assert session.status == "2.5 s old\nport closed"
+    session.image.error = "no memory"
+    assert session.status == "no memory"
+    session._opening_error = "no log"
+    assert session.status == "no log"
+    session._opening_error = session.image.error = ""
+    session.loaded = session.live = None
+    assert (session.status, session.stale_s) == ("", None)
+
+
+def test_an_exposure_is_reported_for_gap_and_real_image() -> None:
+    gap = SimpleNamespace(reason="no attitude", duration_s=2.0)
+    loaded, none = flight(), SimpleNamespace(image_at=lambda _: None)
+    assert state._status_at(loaded, none, None) == ""
+    assert state._status_at(loaded, none, gap) == "no exposure: the log has no attitude of 2.000 s here"
+    loaded.is_live = True
+    assert state._status_at(loaded, none, gap) == "no exposure: the link has no attitude of 2.000 s here"
+    loaded.head.exposure_section = ExposureSection(duration_s=70.0, interval_s=80.0)
+    assert state._status_at(loaded, none, None).startswith("the flight lasts 60.000 s")
+    real = SimpleNamespace(image_at=lambda _: "real", exposure=lambda _, own: Exposure(999.0, 0.5))
+    assert state._status_at(loaded, real, gap) == "the real image begins 1.000 s before the flight"
+    real.exposure = lambda _, own: Exposure(1001.0, 0.5)
+    assert state._status_at(loaded, real, None) == ""
+    assert state._status_at(loaded, real, gap) == "no exposure: the link has no attitude of 2.000 s here"
+
+
+def test_the_exposure_is_the_camera_s_the_real_image_s_or_named_to_a_microsecond() -> None:
+    loaded, none = flight(), SimpleNamespace(image_at=lambda _: None)
+    loaded.head.seek(1007.0)
+    exposure, number = state._exposure_to_show(loaded, none)
+    assert (exposure.start_utc_s, number) == (1006.0, 2)
+    loaded.is_live = True
+    assert state._exposure_to_show(loaded, none)[1] is None
+    loaded.is_live, loaded.head.mode = False, Mode.SLIDING
+    loaded.head.seek(1007.12345678)
+    exposure, number = state._exposure_to_show(loaded, none)
+    assert (exposure.start_utc_s - 1000.0, number) == (pytest.approx(6.623456, abs=1e-9), None)
+    asked: list[Any] = []
+    real = SimpleNamespace(
+        image_at=lambda utc_s: asked.append(utc_s) or "real", exposure=lambda _, own: Exposure(1002.5, 0.75)
+    )
+    exposure, number = state._exposure_to_show(loaded, real)
+    assert (exposure.start_utc_s, exposure.duration_s, number) == (1002.5, 0.75, None)
+    assert asked == [1007.12345678]
+    for outside_s in (999.9, 1059.5):
+        real.exposure = lambda _, own, outside_s=outside_s: Exposure(outside_s, 0.75)
+        assert state._exposure_to_show(loaded, real)[0].duration_s == 0.5
+    # Never before the first attitude.
+    loaded.head.exposure = lambda: Exposure(999.9999999, 0.5)
+    assert state._exposure_to_show(loaded, none)[0].start_utc_s == 1000.0
+
+
+# --- what the window shows ---
+
+
+def test_there_is_content_of_an_image_without_a_gap(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(state.PanelContent, "of", lambda *what, is_processed: (*what[1:3], is_processed))
+    scene = SimpleNamespace(camera="camera", white_dn=255, exposure=None)
+    session.image = image = Noting(has_image=True, scene=scene, gap=None, error="")
+    session.shows_processed = True
+    assert session.shown == (scene, None, True)
+    session.loaded = flight()
+    asked: list[Any] = []
+    session.comparison.decoded_at = lambda *what: asked.append(what) or ("image", "pixels")
+    assert session.real == ("image", "pixels")
+    assert asked == [(1000.0, "camera", 255)]
+    assert session.shown == (scene, "pixels", True)
+    for change in ({"has_image": False}, {"gap": "gap"}, {"scene": None}):
+        session.image = Noting(**vars(image) | change)
+        assert session.shown is None
+    assert session.real is None
+
+
+@pytest.mark.parametrize(
+    ("change", "busy"),
+    [
+        ({}, False),
+        ({"playing": True}, True),
+        ({"playing": True, "stale_s": 2.0}, False),
+        ({"is_blinking": True}, True),
+        ({"waiting": True}, True),
+        ({"export": 1}, True),
+        ({"video": 1}, True),
+        ({"works": True}, True),
+    ],
+)
+def test_a_window_is_busy_while_something_changes(session: Any, change: dict[str, Any], busy: bool) -> None:
+    head = PlayHead(1000.0, 1060.0, SECTION)
+    head.playing, head.live = change.get("playing", False), "stale_s" in change
+    session.loaded = flight(head=head)
+    session.live = SimpleNamespace(stale_s=change["stale_s"]) if "stale_s" in change else None
+    own = session.loader, session.comparison
+    session.loader = SimpleNamespace(works=change.get("works", False))
+    session.comparison = SimpleNamespace(
+        is_blinking=change.get("is_blinking", False), waiting=change.get("waiting", False)
+    )
+    session.export, session.video = change.get("export"), change.get("video")
+    assert session.busy == busy
+    session.loader, session.comparison = own
+
+
+def test_the_free_camera_gives_way_to_a_comparison(session: Any) -> None:
+    for is_on, mode, looking in (
+        (True, ComparisonMode.OFF, True),
+        (True, ComparisonMode.WIPE, False),
+        (False, ComparisonMode.OFF, False),
+    ):
+        session.look.is_on, session.comparison.mode = is_on, mode
+        assert session.is_looking == looking
+
+
+# --- links ---
+
+
+def test_the_present_sky_of_a_link_is_returned_to_or_awaited(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    session.go_live()
+    assert said(session) == [("there is no link: connect to one (Ctrl+L)", False)]
+    given = {"flight.utc_start": "2024-03-10T11:00:00Z"}
+    session.config, session._given = session.config.override(**given), given
+    session.loaded, session._opening_error, session._epoch = flight(), "broken", 4
+    dropped: list[str] = []
+    monkeypatch.setattr(session.loader, "drop", lambda: dropped.append("drop"))
+    monkeypatch.setattr(session.image, "clear", lambda: dropped.append("clear"))
+    session.loader.missing = "missing"
+    live = SimpleNamespace(close=lambda: None)
+    session.follow(live)
+    assert (session.live, session.navigator.live, session.loaded, session._shows_link) == (live, live, None, True)
+    assert (session._given, session.config.flight.utc_start, session._epoch, session._opening_error) == (
+        {},
+        None,
+        0,
+        "",
+    )
+    assert (session.loader.missing, dropped) == (None, ["drop", "clear"])
+    session.loaded = flight(head=Noting(done=[]))
+    session.go_live()
+    assert (session.loaded.head.done, dropped) == ([("last",)], ["drop", "clear"])
+
+
+def test_a_link_is_loaded_once_an_hour_and_extended_meanwhile(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, latest = [], SimpleNamespace(utc_s=5000.0)
+    live = Noting(epoch=1, done=[])
+    live.poll = lambda *, on_gimbal: live.done.append(on_gimbal) or latest_of[0]
+    live.new_events = lambda: [SimpleNamespace(message="armed")]
+    live.last = lambda seconds: made.append(seconds) or flights[0]
+    live.buffered = lambda origin_s: f"from {origin_s}"
+    latest_of, flights = [latest], ["flight"]
+    monkeypatch.setattr(session.loader, "make", lambda config, flight: made.append(flight))
+    session._shows_link = True
+    session._poll_link(live)
+    assert (said(session), live.done) == ([("armed", False)], [False])
+    before_s = session.config.exposure.span_s + state.loadedflight.BEFORE_EXPOSURE_S
+    assert made == [pytest.approx(before_s), "flight"]
+    # Its flight has been installed: nothing is loaded until an hour later, or until its clock is set.
+    session._epoch, session.loaded = 1, flight()
+    session.loaded.head.first_s = 4990.0
+    made.clear()
+    for utc_s, loads in ((5000.0 + 3599.0, False), (5000.0 + 3601.0, True)):
+        latest.utc_s = utc_s
+        session._poll_link(live)
+        assert bool(made) == loads
+    assert session.loaded.done == [("extend_to", 8599.0, "from 1000.0")]
+    assert session._latest is latest
+    made.clear()
+    live.epoch = 2
+    session._poll_link(live)
+    assert made[1:] == ["flight"]
+    live.epoch, made[:], flights[0] = 2, [], None
+    session._poll_link(live)
+    assert len(made) == 1
+    # Nothing happens without an attitude, while a log is shown, and while another flight is loaded.
+    made.clear()
+    latest_of[0] = None
+    session._poll_link(live)
+    latest_of[0], session._shows_link = latest, False
+    session._poll_link(live)
+    assert made == []
+    session._shows_link, session._epoch, session.loaded.done = True, 2, []
+    latest.utc_s = 4990.0
+    session._stars_utc_s = 4990.0
+    session._poll_link(live)
+    session.loaded = None
+    session._poll_link(live)
+    assert made == []
+
+
+# --- flights that have been read ---
+
+
+def test_an_installed_flight_has_its_inputs_and_goes_on_like_the_one_before(session: Any) -> None:
+    given = {"flight.utc_start": "2024-03-10T11:00:00Z"}
+    first = flight(given=given)
+    session._opening_error, session.image.error = "old", "old"
+    session._install(first)
+    assert (session.loaded, session.config.flight.utc_start, session._given) == (
+        first,
+        given["flight.utc_start"],
+        given,
+    )
+    assert first.done == [("use", session.config)]
+    assert (session._opening_error, session.image.error, session.comparison.flight_offset_s) == ("", "", 0.25)
+    assert said(session) == [("a note", False)]
+    cleared: list[str] = []
+    session.loader.others.clear = lambda: cleared.append("cleared")
+    again = flight(given=given)
+    session._install(again)
+    assert (again.done[1:], cleared) == ([("continue_from", first)], [])
+    other = flight(path=Path("other.bin"))
+    session.plays = Path("other.bin")
+    session._install(other)
+    assert (other.done[1:], cleared, session.plays) == ([("continue_from", again)], ["cleared"], None)
+    assert (other.head.mode, other.head.playing, session.config.flight.utc_start) == (Mode.SLIDING, True, None)
+    assert not again.head.playing
+    # A link's flight keeps its play head until its clock is set.
+    session.live, session._epoch = SimpleNamespace(epoch=3, close=lambda: None), 3
+    live = flight(is_live=True, path=None)
+    session._install(live)
+    assert (live.head, session._shows_link, session._epoch) == (other.head, True, 3)
+    session.live.epoch = 4
+    newer = flight(is_live=True, path=None)
+    own = newer.head
+    session._install(newer)
+    assert (newer.head, session._epoch) == (own, 4)
+
+
+def test_a_log_that_cannot_be_read_is_reported(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def polled(error: BaseException, path: str = "bad.bin", missing: Any = None) -> list[tuple[str, bool]]:
+        def take() -> None:
+            raise error
+
+        session.loader = SimpleNamespace(
+            is_done=True, path=Path(path), take=take, missing=missing, others=SimpleNamespace(poll=lambda _: False)
+        )
+        session._poll()
+        return said(session)
+
+    own, used = session.loader, []
+    assert polled(TelemetryError("bad.bin: no log")) == [("bad.bin: no log", True)]
+    assert session.status == "bad.bin: no log"
+    session._opening_error = ""
+    assert polled(TelemetryError("no UTC"), missing="UTC") == []
+    assert session._opening_error == "no UTC"
+    session._opening_error, session.loaded = "", flight(as_read=lambda config: (config, "as read"))
+    monkeypatch.setattr(session, "use", used.append)
+    assert polled(OSError("gone")) == [("gone", True)]
+    assert (used, session._opening_error) == ([], "")
+    assert polled(OSError("gone"), path="night.bin") == [("gone", True)]
+    assert used == [(session.config, "as read")]
+    assert polled(MemoryError()) == [("bad.bin: is too large for this machine's memory", True)]
+    session.loader = own
+
+
+def test_ended_work_is_reported_once(session: Any) -> None:
+    session.loader.others.poll = lambda notify: notify("beside") or True
+    session.comparison.poll = lambda: None
+    session.comparison.error = "no folder"
+    session.export = SimpleNamespace(running=False, summary="12 frames", error="disk full")
+    session._poll()
+    assert said(session) == [("no folder", True), ("beside", False), ("12 frames", True)]
+    assert (session.comparison.error, session.export) == ("", None)
+    assert session.shown_overlays == {Overlay.STAR_NAMES, Overlay.NAVIGATOR}
+    session.loader.others.poll = lambda _: False
+    session.export = running = SimpleNamespace(running=True)
+    session._poll()
+    assert (said(session), session.export) == ([], running)
+    session.export = SimpleNamespace(running=False, summary="all", error="")
+    session._poll()
+    assert said(session) == [("all", False)]
+
+
+# --- the stretch and the exposure control ---
+
+
+def test_the_stretch_follows_a_new_image_unless_it_is_held_or_near(
+    session: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sensor = session.config.sensor()
+
+    def scene(start_s: float) -> SimpleNamespace:
+        return SimpleNamespace(
+            sensor=sensor, white_dn=255, exposure=SimpleNamespace(start_utc_s=start_s, duration_s=0.5)
+        )
+
+    followed: list[Any] = []
+    stretch = SimpleNamespace(held=False, following=lambda *what: followed.append(what) or stretch)
+    own, first = session.image, scene(1000.0)
+    session.stretch, session.image = stretch, SimpleNamespace(scene=None, pixels="pixels")
+    state._follow_image(session)
+    session.image.scene = first
+    state._follow_image(session)
+    state._follow_image(session)
+    assert followed == [("pixels", 255, state.Stretch.for_sensor(sensor))]
+    assert session.followed is first
+    stretch.held, session.image.scene = True, scene(1003.0)
+    state._follow_image(session)
+    stretch.held = False
+    session.loaded = flight()
+    session.loaded.head.playing = True
+    session.image.scene = scene(1000.4)
+    state._follow_image(session)
+    assert len(followed) == 1
+    session.image.scene = scene(1000.6)
+    state._follow_image(session)
+    assert len(followed) == 2
+    session.loaded.head.playing = False
+    session.image.scene = scene(1000.7)
+    state._follow_image(session)
+    assert len(followed) == 3
+    session.follow_image()
+    session.image.pixels = None
+    state._follow_image(session)
+    assert (len(followed), session.followed) == (3, None)
+    session.image = own
+
+
+def test_an_image_is_measured_once_for_the_exposure_control(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Control(SimpleNamespace):
+        def unmeasured(self) -> "Control":
+            return Control(done=[*self.done, "unmeasured"], control="control", settings=(0.5, 2.0))
+
+        def after(self, level: float, exposed: float) -> "Control":
+            return Control(done=[*self.done, (level, exposed)], control="control", settings=(0.25, 2.0))
+
+    monkeypatch.setattr(
+        state.ControlledExposure, "begun", lambda *what: Control(done=[what], control=what[0], settings=(1.0, 2.0))
+    )
+    monkeypatch.setattr(state, "level_of", lambda *what: 0.75)
+    monkeypatch.setattr(state, "replace", lambda shot, simulator: (shot, simulator))
+    set_to: list[Any] = []
+
+    def shot_of(simulator: str, control: str | None = "control") -> SimpleNamespace:
+        return SimpleNamespace(
+            control=control,
+            sensor_gain=2.0,
+            simulator=simulator,
+            set_to=lambda *settings: (
+                set_to.append(settings) or SimpleNamespace(simulator=f"{simulator} {settings} {len(set_to)}")
+            ),
+        )
+
+    plain = shot_of("a", None)
+    assert session._exposed(plain) is plain
+    _, simulator = session._exposed(shot_of("a"))
+    assert (simulator, session._control.done) == ("a (1.0, 2.0) 1", [("control", 2.0)])
+    # The same simulator with the same settings stays; another one, and another control, give another one.
+    assert session._exposed(shot_of("a"))[1] == simulator
+    assert session._exposed(shot_of("b"))[1].startswith("b (1.0, 2.0) ")
+    session._exposed(shot_of("b", "other"))
+    assert session._control.done == [("other", 2.0)]
+    session.comparison.mode = ComparisonMode.WIPE
+    shot = shot_of("a")
+    assert session._exposed(shot) is shot
+    assert session._control is None
+    session.comparison.mode = ComparisonMode.OFF
+    session._exposed(shot_of("a"))
+    own = session.image
+    scene = SimpleNamespace(
+        sensor=SimpleNamespace(electrons=SimpleNamespace(analogue_gain=4.0)), exposure=SimpleNamespace(duration_s=0.5)
+    )
+    session.image = SimpleNamespace(scene=scene, is_noiseless=False, pixels="pixels")
+    session._measure()
+    session._measure()
+    assert session._control.done == [("control", 2.0), (0.75, 2.0), "unmeasured"]
+    session.image.is_noiseless = True
+    session._measure()
+    session.image.is_noiseless, session.image.scene = False, None
+    session._measure()
+    assert len(session._control.done) == 3
+    session.image.scene, session.image.pixels = SimpleNamespace(sensor=scene.sensor, exposure=scene.exposure), None
+    session._measure()
+    assert len(session._control.done) == 3
+    session.image = own
