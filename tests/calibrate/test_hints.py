@@ -65,7 +65,7 @@ def test_rolls_are_tried_from_the_smallest_in_steps_of_a_bin_at_the_corner() -> 
     step = 7.0 / 250  # half the diagonal
     count = 5  # 0.14 rad are 8.02 deg
     assert len(rolls) == 2 * count + 1
-    np.testing.assert_allclose(np.sort(rolls), np.arange(-count, count + 1) * step)
+    np.testing.assert_allclose(np.sort(rolls), np.arange(-count, count + 1) * step, rtol=1e-7)
     assert rolls[0] == 0
     assert (np.diff(np.abs(rolls)) > -1e-12).all()
 
