@@ -10,10 +10,13 @@ import pytest
 
 from glstar.calibrate.photo import detection as module
 from glstar.calibrate.photo.detection import (
+    _CLIPPED_STD,
     Background,
     DetectedStars,
     SkyLevel,
     _classified,
+    _clipped_moments,
+    _lit_tiles,
     _peaks,
     detect_stars,
     tile_statistics,
@@ -227,3 +230,39 @@ def test_the_elongation_of_a_field_is_that_of_its_bright_stars(monkeypatch: pyte
         assert len(asked) == count
     # Those of twenty times the noise, the brightest first.
     assert len(asked[0]) == 14
+
+
+def test_clipping_begins_with_the_quartiles_and_ends_after_five_rounds() -> None:
+    values = np.sort(np.random.default_rng(2).exponential(10.0, 4000) ** 1.6).astype(np.float32)
+    low, middle, high = np.quantile(values.astype(float), (0.25, 0.5, 0.75))
+    mean, std, means = middle, (high - low) / 1.349, []
+    for _ in range(6):
+        kept = values[np.abs(values - mean) <= 3 * std].astype(float)
+        mean, std = kept.mean(), kept.std() / _CLIPPED_STD
+        means.append((mean, std))
+    # It has not converged: one more round would change it.
+    assert abs(means[5][0] - means[4][0]) > 0.02
+    assert _clipped_moments(values) == pytest.approx(means[4], rel=1e-4)
+    # The width of the Gaussian whose part within three sigma has the standard deviation of those kept.
+    z = np.linspace(-3, 3, 200_001)
+    weight = np.exp(-(z**2) / 2)
+    assert pytest.approx(np.sqrt((weight * z**2).sum() / weight.sum()), rel=1e-4) == _CLIPPED_STD
+
+
+def test_a_ring_and_three_dark_corners_are_no_image_circle() -> None:
+    rows, columns = np.indices((24, 32))
+    radius = np.hypot(rows - 11.5, columns - 15.5)
+    noise = np.ones((24, 32))
+    disc = np.where(radius < 11, 100.0, 2.0)
+    assert not _lit_tiles(disc, noise).all()
+    assert _lit_tiles(np.where(radius < 6, 2.0, disc), noise).all()
+    for row in (0, -1):
+        for column in (0, -1):
+            lamp = disc.copy()
+            lamp[row, column] = 60.0
+            assert _lit_tiles(lamp, noise).all()
+    # A rim of a fifth of the brightness is neither, and belongs to what a lens casts light on.
+    rim = np.where((radius >= 11) & (radius < 12), 20.0, disc)
+    np.testing.assert_array_equal(_lit_tiles(rim, noise), rim > 10)
+    wide = np.where((radius >= 7) & (radius < 11), 20.0, disc)
+    assert _lit_tiles(wide, noise).all()

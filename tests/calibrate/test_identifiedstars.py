@@ -195,6 +195,15 @@ def test_a_fisheye_of_a_hemisphere_may_leave_the_corners_dark() -> None:
     assert not is_one_to_one(replace(CAMERA, lens=Lens("plumb_bob", (-2.0,))))
 
 
+def test_the_farthest_corner_and_a_fiftieth_more_must_be_inside_of_a_lens() -> None:
+    for cx_px, cy_px in ((322.0, 236.0), (310.0, 236.0), (322.0, 250.0), (310.0, 250.0)):
+        farthest = 1.02 * np.hypot(max(cx_px + 0.5, 639.5 - cx_px), max(cy_px + 0.5, 479.5 - cy_px))
+        for off_px, expected in ((0.2, True), (-0.2, False)):
+            lens = Lens("fisheye", (), (farthest + off_px) / 400)
+            camera = Camera(640, 480, 400.0, 400.0, cx_px, cy_px, lens=lens)
+            assert is_one_to_one(camera) is expected
+
+
 def test_a_lens_starts_like_the_one_before() -> None:
     theta = np.linspace(0.0, 0.9, 65)[1:]
     bent = Lens("plumb_bob", (-0.1, 0.02, 0.001, 0.002, -0.004), 1.2)
