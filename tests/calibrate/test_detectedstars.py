@@ -266,3 +266,45 @@ def test_a_ring_and_three_dark_corners_are_no_image_circle() -> None:
     np.testing.assert_array_equal(_lit_tiles(rim, noise), rim > 10)
     wide = np.where((radius >= 7) & (radius < 11), 20.0, disc)
     assert _lit_tiles(wide, noise).all()
+
+
+def test_tiles_are_interpolated_after_a_median_of_three() -> None:
+    tiles = np.array([[1.0, 2, 3, 4], [5, 90, 7, 8], [9, 10, 11, 12]])
+    for count, filtered in ((3, True), (2, False)):
+        some = tiles[:count]
+        shape = (64 * count - 20, 64 * 4 - 9)
+        spread = module._spread(some, shape)
+        assert spread.shape == shape
+        padded = np.pad(some, 1, mode="edge")
+        around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(count, 4, 9)
+        expected = np.median(around, axis=2) if filtered else some
+        # Half-way between the middles of two tiles it is their mean.
+        assert spread[5, 63:65].mean() == pytest.approx(expected[0, :2].mean(), rel=1e-6)
+        assert spread[63:65, 5].mean() == pytest.approx(expected[:2, 0].mean(), rel=1e-6)
+        assert spread[5, 127:129].mean() == pytest.approx(expected[0, 1:3].mean(), rel=1e-6)
+        assert spread[0, 0] == expected[0, 0]
+
+
+def test_a_sky_is_cut_off_where_it_is_dark_and_many_pixels_are_0(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_clipped_gaussian", lambda image, starless: (0.25, 0.5))
+    starless = np.ones(SHAPE, bool)
+    starless[:, :100] = False
+
+    def level(level_dn: float, zeros: int) -> SkyLevel:
+        pixels = np.random.default_rng(1).normal(level_dn, 2.0, SHAPE)
+        pixels = np.maximum(pixels, 0.5)
+        pixels.ravel()[np.flatnonzero(starless)[:zeros]] = 0.0
+        background = replace(background_of(), level_dn=np.full(SHAPE, level_dn))
+        return module.sky_level(pixels, background, starless)
+
+    # 12 000 pixels without stars: 0.5 % are 60.
+    assert [level(7.0, zeros).mean_dn == 0.25 for zeros in (60, 61)] == [False, True]
+    assert (level(7.0, 61).std_dn, level(7.0, 61).clipped_fraction) == (0.5, pytest.approx(61 / 12000))
+    assert level(7.0, 61).pixels == 12000
+    # Four standard deviations of 2 DN above 0.
+    assert [level(one, 61).mean_dn == 0.25 for one in (7.8, 8.2)] == [True, False]
+    assert level(8.2, 61).clipped_fraction == 0
+    few = level(30.0, 0)
+    assert few.mean_dn == pytest.approx(30, abs=0.1)
+    assert few.std_dn == pytest.approx(np.sqrt(4 - 1 / 12), rel=0.03)
+    assert few.unevenness_dn == 0
