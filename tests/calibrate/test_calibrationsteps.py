@@ -429,7 +429,7 @@ def test_photographs_are_calibrated_one_by_one_and_combined(parts) -> None:
     assert (parts, done) == ([("a.png", 0, True, False)], [4])
 
 
-def test_the_function_hands_all_its_options_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_function_passes_all_its_options_on(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: dict[str, object] = {}
     progress: list[tuple[int, int]] = []
 

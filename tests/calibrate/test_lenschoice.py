@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from glstar.calibrate.geometry import lenschoice
 from glstar.calibrate.geometry.lenschoice import (
     _CANDIDATES,
     LensCandidate,
+    LensTrial,
     _is_allowed,
     _no_lens,
     _with_k1_as_lens,
@@ -218,3 +220,170 @@ def test_a_lens_is_one_to_one_to_a_fiftieth_beyond_the_border(factor: float, exp
     camera = replace(PINHOLE, lens=Lens("plumb_bob", (-1 / (3 * turn**2),)))
     assert is_one_to_one(camera) == expected
     assert is_one_to_one(PINHOLE)
+
+
+def tries(monkeypatch: pytest.MonkeyPatch, criteria=None, *, fails=lambda candidate: False) -> list[tuple]:
+    """Record the lenses that are tried instead of fitting them; `criteria`: by the number of parameters."""
+    calls: list[tuple] = []
+
+    def tried(candidate: LensCandidate, free: FreeParameters, start: CameraPoses):
+        calls.append((candidate, free, start))
+        if fails(candidate):
+            return None
+        parameters = candidate.parameters(len(free.stars))
+        criterion = -20.0 * len(calls) if criteria is None else criteria(candidate)
+        poses = CameraPoses(replace(PINHOLE, fx_px=900.0 + len(calls)), start.C_camera_eq)
+        return poses, LensTrial(candidate.label, parameters, 0.1, criterion), {"fx_px": float(len(calls))}
+
+    monkeypatch.setattr(lenschoice, "_try_candidate", tried)
+    return calls
+
+
+# Models, coefficients and principal point, from the simplest to the most complicated: k1, k2, p1, p2, k3 of plumb_bob,
+# k1 to k4 of a fisheye, and k4 to k6 of the denominator of a rational lens.
+TABLE = [
+    (None, "", False), (None, "", True), ("plumb_bob", "0", False), ("plumb_bob", "0", True),
+    ("plumb_bob", "01", False), ("plumb_bob", "01", True), ("plumb_bob", "014", True), ("plumb_bob", "0123", True),
+    ("plumb_bob", "01234", True), ("fisheye", "", False), ("fisheye", "", True), ("fisheye", "0", True),
+    ("fisheye", "01", True), ("fisheye", "012", True), ("fisheye", "0123", True), ("rational", "01456", True),
+    ("rational", "01234567", True),
+]  # fmt: skip
+
+
+def test_all_lenses_of_a_choice_are_tried_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = [LensCandidate(model, tuple(map(int, free)), point) for model, free, point in TABLE]
+    # Rational lenses are tried because a plumb_bob of all parameters is the best of the others.
+    calls = tries(monkeypatch, lambda one: 0.0 if one.model == "fisheye" else -20.0 * table.index(one))
+    prior = replace(PINHOLE, cx_px=600.0)
+    stars = (stars_of(40), stars_of(60))
+    both = (solution(k1=-0.1, prior_camera=prior), PlateSolution(PINHOLE, np.eye(3)))
+    best = best_lens(stars, both, "auto")
+    assert [candidate for candidate, *_ in calls] == table
+    _, free, start = calls[0]
+    assert (free.prior, free.coefficients, free.principal_point, free.stars) == (prior, (), False, stars)
+    assert start.camera.lens == Lens("plumb_bob", (-0.1,))
+    assert free.noise_px == tuple(scatter_px(part, start.camera, np.eye(3)) for part in stars)
+    assert len(start.C_camera_eq) == 2
+    assert (best.candidate, best.sd, best.poses.camera.fx_px) == (table[-1], {"fx_px": 17.0}, 917.0)
+    assert [model for _, model in best.trials] == [model for model, *_ in TABLE]
+    for choice in ("plumb_bob", "fisheye", "rational", "none"):
+        calls = tries(monkeypatch)
+        found = best_lens((stars_of(60),), (solution(),), choice)
+        allowed = {None} if choice == "none" else {None, choice}
+        assert [candidate for candidate, *_ in calls] == [one for one in table if one.model in allowed]
+        assert found.candidate.model == (None if choice == "none" else choice)
+    # Without a camera before refinement that of the solution, with its k1, is the prior.
+    calls.clear()
+    best_lens((stars_of(60),), (solution(k1=-0.1),), "none")
+    assert calls[0][1].prior.lens == Lens("plumb_bob", (-0.1,))
+
+
+@pytest.mark.parametrize(("gain", "parameters"), [(9.9, 4), (10.1, 11)])
+def test_a_more_complicated_lens_must_gain_ten(gain: float, parameters: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = LensCandidate("plumb_bob", (0, 1, 2, 3, 4), principal_point=True)
+    tries(monkeypatch, lambda candidate: -gain if candidate == full else 0.0)
+    assert best_lens((stars_of(60),), (solution(),), "auto").chosen.parameters == parameters
+
+
+def test_a_choice_without_a_fit_says_whether_one_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    tries(monkeypatch, fails=lambda candidate: candidate.model == "fisheye")
+    with pytest.raises(CalibrationError, match=r"no fisheye lens projects the 60 identified stars, up to 4\d deg off"):
+        best_lens((stars_of(60),), (solution(),), "fisheye")
+    # Pinholes are tried for comparison; a rational lens needs 22 stars.
+    with pytest.raises(
+        CalibrationError, match="20 identified stars are too few, or too near to the middle, to fit a rat"
+    ):
+        best_lens((stars_of(20),), (solution(),), "rational")
+    tries(monkeypatch, fails=lambda candidate: True)
+    with pytest.raises(CalibrationError, match="no camera projects the 60 identified stars"):
+        best_lens((stars_of(60),), (solution(),), "auto")
+    with pytest.raises(CalibrationError, match="no pinhole projects the 60 identified stars"):
+        best_lens((stars_of(60),), (solution(),), "none")
+
+
+def test_a_simple_lens_has_as_many_parameters_as_stars_and_corners_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = tries(monkeypatch, fails=lambda candidate: True)
+    fisheye = replace(PINHOLE, lens=Lens("fisheye", (0.1,)))
+    few, many = [((0, 1), True), ((0,), True), ((0,), False)], [((0, 1, 2, 3), True), ((0, 1, 2), True)]
+
+    def tried(stars: IdentifiedStars, start: PlateSolution, choice: str) -> list[tuple]:
+        calls.clear()
+        found = simple_lens(stars, start, choice)
+        assert (found.k1, found.prior_camera) == (0.0, start.prior_camera)
+        assert {candidate.model for candidate, *_ in calls} <= {"fisheye" if is_fisheye else "plumb_bob"}
+        return [(candidate.coefficients, candidate.principal_point) for candidate, *_ in calls]
+
+    is_fisheye = False
+    for choice in ("auto", "none", "plumb_bob", "rational"):
+        assert tried(stars_of(40), solution(k1=0.05), choice) == few
+    # Two stars for each of 8, 7 and 5 parameters.
+    assert [len(tried(stars_of(count), solution(), "auto")) for count in (16, 15, 14, 13, 10, 9)] == [3, 2, 2, 1, 1, 0]
+    assert tried(stars_of(40, 0.79), solution(), "auto") == few[1:]
+    is_fisheye = True
+    assert tried(stars_of(40), solution(), "fisheye") == [*many, *few]
+    assert tried(stars_of(40, camera=fisheye), solution(fisheye), "auto") == [*many, *few]
+    assert [len(tried(stars_of(count), solution(), "fisheye")) for count in (20, 19, 18, 17)] == [5, 4, 4, 3]
+
+
+def test_a_simple_lens_is_the_first_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = tries(monkeypatch, fails=lambda candidate: len(candidate.coefficients) == 2)
+    prior = replace(PINHOLE, cx_px=600.0)
+    found = simple_lens(stars_of(40), solution(k1=0.05), "auto")
+    assert [candidate.coefficients for candidate, *_ in calls] == [(0, 1), (0,)]
+    assert (found.camera.fx_px, found.k1, found.prior_camera) == (902.0, 0.0, PINHOLE)
+    bent = replace(PINHOLE, lens=Lens("plumb_bob", (0.05,)))
+    _, free, start = calls[0]
+    assert (free.prior, start.camera) == (bent, bent)
+    assert free.noise_px == (scatter_px(stars_of(40), PINHOLE, np.eye(3)),)
+    assert simple_lens(stars_of(40), solution(prior_camera=prior), "auto").prior_camera is prior
+    assert calls[2][1].prior is prior
+
+
+@pytest.mark.parametrize("what", ["no minimum", "not one-to-one", "a star outside", None])
+def test_a_trial_needs_a_minimum_that_is_one_to_one_and_has_all_stars(what, monkeypatch: pytest.MonkeyPatch) -> None:
+    stars = stars_of(40)
+    candidate = _CANDIDATES[0]
+    free = FreeParameters((stars,), PINHOLE, (0.05,), (), principal_point=False)
+    start = CameraPoses(PINHOLE, (np.eye(3),))
+    if what == "no minimum":
+        monkeypatch.setattr(lenschoice, "fit_parameters", lambda *arguments: None)
+    elif what == "not one-to-one":
+        monkeypatch.setattr(lenschoice, "is_one_to_one", lambda camera: False)
+    elif what == "a star outside":
+        stars.apparent[7] *= -1
+    found = lenschoice._try_candidate(candidate, free, start)
+    assert (found is None) == (what is not None)
+
+
+def test_a_candidate_of_one_image_starts_from_its_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = tries(monkeypatch)
+    prior = replace(PINHOLE, cx_px=600.0)
+    candidate = LensCandidate("plumb_bob", (0, 1), principal_point=True)
+    camera, sd = fit_candidate(candidate, stars_of(16), solution(prior_camera=prior))
+    [(tried, free, start)] = calls
+    assert (tried, camera.fx_px, sd, start.camera) == (candidate, 901.0, {"fx_px": 1.0}, PINHOLE)
+    assert (free.prior, free.coefficients, free.principal_point) == (prior, (0, 1), True)
+    assert free.noise_px == (scatter_px(stars_of(16), PINHOLE, np.eye(3)),)
+    assert fit_candidate(candidate, stars_of(15), solution()) is None
+    fit_candidate(candidate, stars_of(16), solution())
+    assert calls[1][1].prior is PINHOLE
+    monkeypatch.setattr(lenschoice, "_try_candidate", lambda *arguments: None)
+    assert fit_candidate(candidate, stars_of(16), solution()) is None
+
+
+def test_stars_within_four_median_distances_count_for_the_scatter() -> None:
+    stars = stars_of(40, scatter=0.0)
+    rng = np.random.default_rng(3)
+    off = rng.normal(0, 0.2, (40, 2))
+    off[5] = [6.0, 0.0]  # 4.9 median distances off the cubic that it bends
+    noisy = IdentifiedStars(stars.apparent, stars.xy_px + off)
+    x, y = ((noisy.xy_px - noisy.xy_px.mean(axis=0)) / noisy.xy_px.std(axis=0)).T
+    terms = np.polynomial.polynomial.polyvander2d(x, y, [3, 3])[:, [0, 1, 2, 3, 4, 5, 6, 8, 9, 12]]
+    residual = noisy.residual_px(PINHOLE, np.eye(3))
+    for _ in range(4):
+        rest = residual - terms @ np.linalg.pinv(terms) @ residual
+        distance = np.hypot(*rest.T)
+        last, near = rest, distance <= 4 * np.median(distance)
+        residual, terms = residual[near], terms[near]
+    assert len(last) < 40
+    assert scatter_px(noisy, PINHOLE, np.eye(3)) == pytest.approx(1.4826 * np.median(np.abs(last)), rel=1e-6)

@@ -245,7 +245,9 @@ def test_a_flight_gives_attitude_and_place_by_the_clock_of_its_camera(over) -> N
     over.clear()
     [elsewhere] = _references(config(), [_Moment(UTC_S)], (30.0, 40.0), (1.0, 2.0, 3.0), "a.BIN", fit_readout=False)
     assert over[0][2] == Site(np.deg2rad(30.0), np.deg2rad(40.0), **AIR)
-    np.testing.assert_allclose(elsewhere.C_body_ned, matrix_from_euler(*np.deg2rad([3.0, 2.0, 1.0])), atol=1e-12)
+    np.testing.assert_allclose(
+        elsewhere.C_body_ned, matrix_from_euler(*np.deg2rad([3.0, 2.0, 1.0])), atol=1e-12, rtol=0
+    )
     for moments in ([_Moment(None)], [_Moment(UTC_S), _Moment(None)]):
         with pytest.raises(ConfigError, match="--flight needs --utc, the time of the photograph"):
             _references(config(), moments, None, None, "a.BIN", fit_readout=False)

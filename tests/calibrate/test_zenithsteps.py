@@ -316,3 +316,24 @@ def test_both_sides_of_the_image_are_tried_until_the_lens_does_not_change() -> N
     stars = Fitted(lambda zenith: -5.0 if zenith[1] == 1.0 else 3.0, [BENT, PLAIN] * 3)
     _best_zeniths(stars)
     assert len(stars.tried) == 8  # four rounds
+
+
+def test_stars_are_refracted_with_their_scatter_and_the_lens_that_they_justify(monkeypatch) -> None:
+    calls = []
+
+    def best(parts, solutions, choice):
+        calls.append((parts[0].apparent, solutions, choice))
+        return SimpleNamespace(candidate=BENT)
+
+    monkeypatch.setattr(module, "best_lens", best)
+    monkeypatch.setattr(
+        module, "scatter_px", lambda stars, camera, C: 0.25 if (camera, C is TURN) == (CAMERA, True) else 0
+    )
+    identified = STARS.at(None)
+    found = _RefractedStars.of(identified, STARS.solution, 0.7)
+    assert (found.noise_px, found.plain_candidate, found.refraction_scale) == (0.25, BENT, 0.7)
+    assert (found.direction_eq is STARS.direction_eq, found.xy_px is STARS.xy_px) == (True, True)
+    zenith = STARS.zenith_eq(*PLACE)
+    assert STARS.best_candidate(zenith) is BENT
+    np.testing.assert_array_equal(calls[1][0], STARS.at(zenith).apparent)
+    assert [call[1:] for call in calls] == [((STARS.solution,), "auto")] * 2
