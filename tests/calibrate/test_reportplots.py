@@ -24,6 +24,7 @@ from glstar.calibrate.sensor.report import (
     _surface,
     _width,
     draw_geometry,
+    draw_report,
     simulated,
 )
 from tests.support.handmade import CAMERA, PLAIN, handmade, with_stars
@@ -307,3 +308,25 @@ def test_a_page_has_the_width_of_15_inches_and_the_height_of_its_photograph() ->
     assert CAMERA.width_px == 400
     page = cv2.imdecode(np.frombuffer(draw_geometry(part.geometry), np.uint8), cv2.IMREAD_COLOR)
     assert page.shape[:2] == (704, 1650)  # 110 dots an inch; 5.4 inches of the photograph, and one
+
+
+def test_plots_lie_on_the_page_beside_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda page, *_, **__: pages.append(page))
+    part = handmade(OFF)
+    draw_report(part)
+    draw_geometry(part.geometry)
+    assert [len(page.axes) for page in pages] == [10, 2]
+    assert pages[0].get_size_inches().tolist() == pytest.approx([15, 5.4 + 11.5 + 3.9])
+    for page in pages:
+        boxes = [one.get_position() for one in page.axes]
+        for k, box in enumerate(boxes):
+            assert min(box.x0, box.y0) > 0
+            assert max(box.x1, box.y1) < 1
+            assert not any(box.overlaps(other) for other in boxes[:k])
+        # The title is 0.15 inches below the upper edge.
+        assert page.get_suptitle().startswith("a.png: 40 stars identified (by hand)")
+        assert (1 - page._suptitle.get_position()[1]) * page.get_size_inches()[1] == pytest.approx(0.15)
+    # From the lower edge, inches: the lowest row, the two above it, and the images.
+    bottoms = sorted({round(box.y0 * 20.8, 3) for box in (one.get_position() for one in pages[0].axes)})
+    assert bottoms == [0.6, 4.1, 4.3, 9.0, 10.5, 14.8]
