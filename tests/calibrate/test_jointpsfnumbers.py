@@ -466,7 +466,7 @@ def test_a_group_must_lower_the_residuals_by_twelve_for_each_parameter(
 
 @pytest.mark.parametrize(("wing", "first"), [(101.5, "beta"), (102.1, "wing")])
 def test_the_better_profile_is_taken_first(monkeypatch: pytest.MonkeyPatch, wing: float, first: str) -> None:
-    """Of costs near 1645 a thousandth is 1.64 to 1.65: a profile with one parameter more must be so much better."""
+    """Of costs near 1645 a thousandth is 1.64 to 1.65: a profile with one parameter more must be better by that."""
     _, trials, _ = chosen(monkeypatch, {"beta": 100.2, "wing": wing})
     assert trials[-1][1] == first
 
