@@ -130,12 +130,12 @@ def coloured(seed: int, shape: tuple[int, int]) -> np.ndarray:
 
 def test_the_noise_of_a_patch_has_a_correlation_and_a_variance_for_each_pixel_of_the_lattice() -> None:
     noise = coloured(1, (120, 130)) + 0.7
-    noise[60, 70] = 8.5  # A star: 3.5 times 2.4 DN and more
-    xy = np.array([[30.4, 40.6], [125.0, 3.0], [-30.0, 50.0]])
+    noise[60, 70], noise[60, 90] = 8.5, 3.5 * 2.4  # stars: 3.5 times 2.4 DN and more
+    xy = np.array([[30.4, 40.6], [125.0, 3.0], [-30.0, 50.0], [-9.5, 80.0]])
     correlation, lattice = _patch_noise(noise, 2.4, xy, 1.5)
     starless = np.abs(noise) < 3.5 * 2.4
     assert not starless[60, 70]
-    for x, y in xy[:2]:  # the third is too far away
+    for x, y in xy[:2]:  # the others are too far away
         # Squares of 5 sigma and 2 px are left out.
         rows, columns = np.indices(noise.shape)
         first, last = np.trunc([[x - 9.5, y - 9.5], [x + 9.5, y + 9.5]])
@@ -269,7 +269,7 @@ def misfit_of(monkeypatch: pytest.MonkeyPatch, count: int = 160, trail_px: float
     noise = np.full(count, 4.0)
     signal = np.linspace(200, 30, count)
     if count == 60:
-        signal[-2:] = 20.5, 19.5
+        signal[-2:] = 20.0, 19.5
     vmag = 3.9 - 2.5 * np.log10(signal * 4 / 800)
     saturated, blended = np.arange(count) == 3, np.arange(count) == 5
     stars = Stars(
@@ -344,7 +344,7 @@ def test_shapes_need_eight_stars_with_short_trails(monkeypatch: pytest.MonkeyPat
         assert ("chosen" in asked, found.wing_fraction is not None) == (measured, measured)
         assert found.corner_growth is None
     # Half a sigma of a trail is too long; elongated stars have wings but no ellipse.
-    for trail_px, measured in ((0.69, True), (0.71, False)):
+    for trail_px, measured in ((0.69, True), (0.5 * 1.4, False), (0.71, False)):
         found, _, asked = misfit_of(monkeypatch, trail_px=trail_px)
         assert ("chosen" in asked, found.ellipticity is not None) == (measured, measured)
     found, _, _ = misfit_of(monkeypatch, drawn_out_px=3.0)
@@ -426,12 +426,12 @@ def test_wings_are_weighted_means_of_what_exceeds_each_gaussian(monkeypatch: pyt
     monkeypatch.setattr(misfitmeasurement, "fit_stars", fit_stars)
     monkeypatch.setattr(misfitmeasurement, "_star_profile", star_profile)
     pixels = np.full((30, 40), 70.0)
-    pixels[2, 3], pixels[4, 5] = 0.979 * 4095, 0.981 * 4095
+    pixels[2, 3], pixels[4, 5], pixels[6, 7] = 0.979 * 4095, 0.981 * 4095, 0.98 * 4095
     detected = SimpleNamespace(background=SimpleNamespace(level_dn=np.full((30, 40), 20.0)), xy_px="places")
     found, stacked = misfitmeasurement.measure_wings(picture(pixels), detected, chosen, 1.4, signal)
     above, usable, places, start_px, only = calls[0]
     np.testing.assert_array_equal(above, pixels - 20)
-    assert np.argwhere(~usable).tolist() == [[4, 5]]
+    assert np.argwhere(~usable).tolist() == [[4, 5], [6, 7]]
     assert (places, start_px, only is chosen) == ("places", 1.4, True)
     wings, weights, rows = [], [], []
     for k in sorted(set(range(12)) - {4, 6}):

@@ -69,6 +69,12 @@ def test_an_effect_is_noted_beyond_its_limit(name: str, below: float, above: flo
     assert not replace(PLAIN, **{name: Measurement(0.0, 0.0)}).notes(SENSOR)
 
 
+def test_a_measurement_at_its_limit_does_not_exceed_it() -> None:
+    assert not Measurement(0.5, 0.0).exceeds(0.5)
+    assert not Measurement(-0.5, 0.125).exceeds(0.1)
+    assert Measurement(-0.5, 0.12).exceeds(0.1)
+
+
 def test_an_unknown_or_missing_effect_is_not_noted() -> None:
     names = ("wing_fraction", "corner_loss_mag", "ellipticity", "corner_growth", "neighbour_correlation")
     unknown = replace(PLAIN, **dict.fromkeys((*names, "lattice_excess")))

@@ -172,7 +172,7 @@ def test_implausible_cameras_are_warned_of() -> None:
         " or was the image cropped?",
     )
     assert camera_warnings(Camera(640, 480, 500.0, 510.0, 639.4, 239.5)) == ()
-    strong = Camera(640, 480, 500.0, 510.0, 320.5, 239.5, lens=Lens("plumb_bob", (0.1, -10.1, 0.0, 0.0, 9.9)))
+    strong = Camera(640, 480, 500.0, 510.0, 320.5, 239.5, lens=Lens("plumb_bob", (0.1, -10.1, 0.0, 0.0, 10.0)))
     assert camera_warnings(strong) == (
         "k2 = -10.1: coefficients of real lenses are rarely above 10; a narrow view, or points near the image"
         " centre only,"
@@ -189,6 +189,7 @@ def test_implausible_cameras_are_warned_of() -> None:
         (Lens("plumb_bob", (0.1, 0.2)), "plumb_bob", [0.1, 0.2, 0.0, 0.0, 0.0], ""),
         (Lens("rational", (0.1,) * 8), "rational_polynomial", [0.1] * 8, ""),
         (Lens("rational", (0.1,) * 9), "rational_polynomial", [0.1] * 9 + [0.0] * 3, ""),
+        (Lens("rational", (0.1,) * 12), "rational_polynomial", [0.1] * 12, ""),
         (Lens("rational", (0.1,) * 13), "rational_polynomial", [0.1] * 13 + [0.0], ""),
         (
             Lens("fisheye", (0.1,), float(np.deg2rad(95.0))),

@@ -274,7 +274,7 @@ def test_an_invalid_lens_is_refused(model, coefficients, words: str) -> None:
 
 
 def test_the_limits_of_coefficients_and_of_the_image_circle_are_valid() -> None:
-    for coefficients in ((-0.999999, 0.0), (0.3, 1.0), (1.7, 0.4)):
+    for coefficients in ((-0.999999, 0.0), (0.3, 1.0), (0.3, 0.0), (1.7, 0.4)):
         assert Lens("double_sphere", coefficients).coefficients == coefficients
     assert Lens("eucm", (0.4, 1e-9)).coefficients == (0.4, 1e-9)
     for model, coefficients in (("double_sphere", (0.3, 1.000001)), ("double_sphere", (0.3, -1e-6)), ("omni", (-1.0,))):

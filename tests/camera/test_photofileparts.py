@@ -99,6 +99,7 @@ def test_the_end_of_a_jpeg_follows_its_last_scan_or_ends_the_file() -> None:
     # In the last 64 bytes the end counts, also before another scan.
     assert not _is_cut_off(first + scan + bytes(60))
     assert _is_cut_off(first + scan + bytes(61))
+    assert not _is_cut_off(b"\xff\xd8" + bytes(100))
 
 
 @pytest.mark.parametrize(
@@ -391,6 +392,7 @@ def gps_time(hour: float, minute: float, second: float, date: str = "2024:03:10"
     [
         (gps_time(11, 0, 0), 37800),
         (gps_time(11, 1, 59), 37800),  # a clock may be two minutes off,
+        (gps_time(11, 2, 0), 37800),
         (gps_time(11, 2, 1), None),  # and not more
         (gps_time(10, 58, 1), 37800),
         (gps_time(10, 57, 59), None),

@@ -364,3 +364,4 @@ def test_a_mixture_is_as_near_to_its_moffat_function_as_its_search_found(beta: f
     encircled = np.abs((1 - outside) @ flux - 1 + (1 + r**2) ** (1 - beta)).max()
     profile = np.abs(outside @ (flux / (2 * np.pi * sigma**2)) * np.pi / (beta - 1) - (1 + r**2) ** -beta).max()
     assert 1e6 * max(encircled, profile) < MIXTURE_PPM[beta]
+    assert len(flux) == (5 if beta < 2.5 else 4)
