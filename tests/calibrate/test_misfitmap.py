@@ -20,6 +20,7 @@ from glstar.calibrate.sensor.misfitmeasurement import (
     _gradient,
     _growth,
     _patch_noise,
+    _star_profile,
     _weighted_median,
     corner_distance,
     measure_ellipticity,
@@ -409,6 +410,8 @@ def test_wings_are_weighted_means_of_what_exceeds_each_gaussian(monkeypatch: pyt
         None if k == 4 else tuple(rng.uniform(0.2, 9.0 if part == 0 else 1.0, 80) for part in range(3))
         for k in range(12)
     ]
+    for one in filter(None, profiles):
+        one[0][0] = 3.0  # counts as outside
     fits = SimpleNamespace(
         sigma_px=sigma, peak_dn=peak, xy_px=rng.uniform(0, 90, (12, 2)), converged=np.arange(12) != 6
     )
@@ -493,3 +496,28 @@ def test_the_growth_is_weighted_with_the_signal_up_to_sixty() -> None:
     # A width below 0 on the axis is none.
     found, width = _growth(image, Stars(xy_px=stars.xy_px, sigma_px=-values), good, signal, axis)
     assert (found, width.tolist()) == (None, [1.0] * 80)
+
+
+def test_rings_of_a_profile_begin_at_their_first_radius_and_end_before_their_last() -> None:
+    """A star of 2 px as recorded, on a pixel: many radii are whole numbers."""
+    sigma_px, centre, near = float(np.sqrt(4 - 1 / 12)), np.array([60.0, 60.0]), np.array([90.0, 60.0])
+    above = np.random.default_rng(16).standard_normal((130, 130))
+    usable = np.ones(above.shape, bool)
+    rows, columns = np.indices(above.shape)
+    distance = np.hypot(columns - 60, rows - 60) / 2
+    good = np.hypot(columns - 90, rows - 60) > 10
+    ring = good & (distance >= 9) & (distance < 12)
+    for limit in (3, 8, 9, 12):
+        assert (distance == limit).any()
+    radius, light, _ = _star_profile(above, usable, np.array([centre, near]), 0, sigma_px, centre)
+    inside = good & (distance < 8)
+    np.testing.assert_array_equal(radius, distance[inside])
+    np.testing.assert_allclose(light, above[inside] - above[ring].mean(), rtol=0, atol=1e-12)
+    # Forty pixels of the wings are enough, from three sigma on and below eight.
+    wing = np.flatnonzero(good & (distance >= 3) & (distance < 8))
+    wing = [*wing[distance.flat[wing] == 3], *wing[distance.flat[wing] != 3]]
+    for count, enough in ((40, True), (39, False)):
+        some = usable.copy()
+        some.flat[wing[count:]] = False
+        found = _star_profile(above, some, centre[np.newaxis], 0, sigma_px, centre)
+        assert (found is not None) == enough
