@@ -156,8 +156,8 @@ def test_a_map_is_resampled_between_the_centres_of_its_pixels() -> None:
 
 
 def test_the_curve_of_srgb_is_that_of_its_standard() -> None:
-    light = np.array([0.0, 0.001, 0.003, 0.0035, 0.02, 0.21404, 0.5, 1.0])
-    expected = [0.0, 0.01292, 0.03876, 1.055 * 0.0035 ** (1 / 2.4) - 0.055, 0.15170, 0.5, 0.73536, 1.0]
+    light = np.array([0.0, 0.001, 0.003, 0.0034, 0.02, 0.21404, 0.5, 1.0])
+    expected = [0.0, 0.01292, 0.03876, 1.055 * 0.0034 ** (1 / 2.4) - 0.055, 0.15170, 0.5, 0.73536, 1.0]
     np.testing.assert_allclose(recorded_by(light, "srgb"), expected, rtol=0, atol=2e-5)
     np.testing.assert_allclose(light_before(np.array(expected), "srgb"), light, rtol=0, atol=2e-5)
 
