@@ -407,7 +407,12 @@ def test_a_pixel_row_of_a_gaussian_is_its_integral() -> None:
 
 
 def chosen(
-    monkeypatch: pytest.MonkeyPatch, gains: dict[str, float], *, never: set = frozenset(), not_yet: set = frozenset()
+    monkeypatch: pytest.MonkeyPatch,
+    gains: dict[str, float],
+    *,
+    never: set = frozenset(),
+    not_yet: set = frozenset(),
+    late: set = frozenset(),
 ):
     """Return the fit of stamps whose cost falls by a gain for each group, the trials of it, and the cost.
 
@@ -424,6 +429,8 @@ def chosen(
     def unclear(stamps: StarStamps, names: tuple[str, ...], shape: _Shape, covariance: np.ndarray) -> dict:
         assert covariance.shape == (len(names),) * 2
         hidden = never | (not_yet if len(names) <= 3 else set())
+        # The covariance of the last fit has the difference of bright and faint stars in it.
+        hidden = hidden | (late if covariance[0, 0] > 2e-4 else set())
         return {
             group: f"{group[0]} is unclear" for group in jointpsf._GROUPS if group[0] in names and group[0] in hidden
         }
@@ -489,6 +496,10 @@ def test_a_group_that_is_not_determined_is_refused_with_its_reason(monkeypatch: 
     joint, trials, _ = chosen(monkeypatch, {"growth": 50.0, "colour": 50.0}, never={"growth"})
     assert joint.refused == ("growth is unclear",)
     assert trials[-1] == ("sigma", "colour")
+    # One that the last fit does not determine is taken out again.
+    joint, trials, _ = chosen(monkeypatch, {"wing": 50.0, "growth": 50.0, "colour": 50.0}, late={"wing"})
+    assert (trials[-1], joint.refused) == (("sigma", "growth", "colour"), ("wing is unclear",))
+    assert joint.psf == PointSpread()
     # The reason of one that the last fit leaves out is added, and the shape goes back to that without it.
     joint, trials, _ = chosen(monkeypatch, {"wing": 50.0, "growth": 50.0, "colour": 50.0}, not_yet={"wing"})
     assert (trials[-1], joint.refused) == (("sigma", "growth", "colour", "wing", "ln_wing_px"), ())
@@ -541,3 +552,11 @@ def test_light_beyond_four_deviations_of_a_filtered_stamp_does_not_count(factor:
         assert (hidden.min(axis=0).tolist(), hidden.max(axis=0).tolist(), len(hidden)) == ([2, 13], [6, 17], 25)
     else:
         assert len(hidden) == 0
+
+
+def test_stamps_have_no_gain_by_default() -> None:
+    given, stamps, _ = cut(np.array([[20.0, 20.0]]), np.array([[20.0, 20.0]]))
+    del given["dn_per_e"]
+    assert (stamps.dn_per_e, cut_stamps(**given)[0].dn_per_e) == (0.4, 0.0)
+    fields = {name: getattr(stamps, name) for name in StarStamps.__slots__ if name != "dn_per_e"}
+    assert StarStamps(**fields).dn_per_e == 0.0

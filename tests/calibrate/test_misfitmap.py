@@ -16,6 +16,7 @@ from glstar.calibrate.sensor.misfit import Measurement
 from glstar.calibrate.sensor.misfitmeasurement import (
     _brightness_map,
     _corner_loss,
+    _covers_corner,
     _fit_radial,
     _gradient,
     _growth,
@@ -389,6 +390,18 @@ def test_the_brightness_of_wider_stars_is_not_underestimated() -> None:
         None,
         None,
     )
+    # Twenty stars of ten times the noise decide about the growth.
+    for ratio, enough in ((10.4, True), (9.6, False)):
+        noise = np.where(np.arange(count) < 19, 4.0, np.where(np.arange(count) == 19, peak / ratio, peak))
+        one = measure_misfit(
+            picture(level),
+            detected,
+            matches,
+            Sensor(psf_sigma_px=1.4),
+            law(~none),
+            replace_stars(stars, noise_dn=noise),
+        )
+        assert (one.corner_growth is not None) == enough
     # Faint stars do not decide about the growth.
     faint = replace_stars(stars, noise_dn=np.where(np.arange(count) < 19, 4.0, peak / 9.9))
     assert (
@@ -521,3 +534,49 @@ def test_rings_of_a_profile_begin_at_their_first_radius_and_end_before_their_las
         some.flat[wing[count:]] = False
         found = _star_profile(above, some, centre[np.newaxis], 0, sigma_px, centre)
         assert (found is not None) == enough
+
+
+def test_stars_much_smaller_than_their_kind_have_no_ellipse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tenth of the square of the typical width is the least size of a star without the pixel."""
+    sizes = np.full(10, 4.0)
+    sizes[2], sizes[5] = 0.104 * 1.8**2, 0.096 * 1.8**2
+    share = np.linspace(0.1, 0.4, 10)
+    xx, yy, xy = (sizes + 1 / 6) / 2 * (1 + share), (sizes + 1 / 6) / 2 * (1 - share), 0.1 * sizes
+    monkeypatch.setattr(misfitmeasurement, "star_shapes", lambda *_: (xx, yy, xy))
+    detected = SimpleNamespace(background=SimpleNamespace(level_dn=np.zeros((5, 6))))
+    found, _ = measure_ellipticity(picture(np.zeros((5, 6))), detected, np.zeros((10, 2)), 1.8)
+    good = np.arange(10) != 5
+    parts = np.array([(xx - yy)[good], 2 * xy[good]]) / np.median((xx + yy - 1 / 6)[good])
+    assert found.value == pytest.approx(np.hypot(*np.median(parts, axis=1)), rel=1e-9)
+
+
+def test_the_error_of_a_gradient_is_that_of_its_fit_with_shared_tiles() -> None:
+    level = 30 + np.random.default_rng(17).standard_normal((60, 90))
+    rows, columns = (np.rint(np.linspace(0, side - 1, 16)).astype(int) for side in (60, 90))
+    half = np.hypot(89, 59) / 2
+    x, y = np.meshgrid((columns - 44.5) / half, (rows - 29.5) / half)
+    offset = np.column_stack([x.ravel(), y.ravel()])
+    p, covariance = _fit_radial(offset, level[np.ix_(rows, columns)].ravel(), np.ones(256))
+    sides = np.array([89, 59]) / half
+    gradient = _gradient(level)[0]
+    assert gradient.value == pytest.approx(np.abs(p[1:3]) @ sides, rel=1e-9)
+    expected = 2 * np.sqrt(np.diag(covariance)[1:3] @ sides**2)
+    assert gradient.standard_error == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_corner_needs_a_tenth_of_the_stars() -> None:
+    far = np.where(np.arange(30) == 3, 1.0, 0.1)
+    assert not _covers_corner(np.column_stack([far, np.zeros(30)]))
+    far[[5, 8, 9]] = 1.0
+    assert _covers_corner(np.column_stack([far, np.zeros(30)]))
+
+
+def test_narrow_stars_may_grow() -> None:
+    offset, _, values = radial_surface(80, 15)
+    axis, corner = np.array([140.0, 90.0]), np.hypot(299 - 140, 199 - 90)
+    image, every = SimpleNamespace(pixels_dn=np.zeros((200, 300))), np.ones(80, bool)
+    whole, half = (
+        _growth(image, Stars(xy_px=axis + offset * corner, sigma_px=factor * values), every, np.full(80, 50.0), axis)[0]
+        for factor in (1.0, 0.5)
+    )
+    assert (half.value, half.standard_error) == pytest.approx((whole.value, whole.standard_error), rel=1e-6)
