@@ -19,6 +19,7 @@ from glstar.calibrate.sensor.misfitmeasurement import (
     _fit_radial,
     _gradient,
     _growth,
+    _offsets,
     _patch_noise,
     corner_distance,
     measure_ellipticity,
@@ -128,11 +129,11 @@ def coloured(seed: int, shape: tuple[int, int]) -> np.ndarray:
 def test_the_noise_of_a_patch_has_a_correlation_and_a_variance_for_each_pixel_of_the_lattice() -> None:
     noise = coloured(1, (120, 130)) + 0.7
     noise[60, 70], noise[60, 90] = 8.5, 3.5 * 2.4  # stars: 3.5 times 2.4 DN and more
-    xy = np.array([[30.4, 40.6], [125.0, 3.0], [-30.0, 50.0], [-9.5, 80.0]])
+    xy = np.array([[30.4, 40.6], [125.0, 3.0], [4.2, 100.3], [-30.0, 50.0], [-9.5, 80.0]])
     correlation, lattice = _patch_noise(noise, 2.4, xy, 1.5)
     starless = np.abs(noise) < 3.5 * 2.4
     assert not starless[60, 70]
-    for x, y in xy[:2]:  # the others are too far away
+    for x, y in xy[:3]:  # the others are too far away
         # Squares of 5 sigma and 2 px are left out.
         rows, columns = np.indices(noise.shape)
         first, last = np.trunc([[x - 9.5, y - 9.5], [x + 9.5, y + 9.5]])
@@ -241,7 +242,7 @@ def test_the_ellipticity_is_that_of_the_axes_without_the_pixel(angle_deg: float)
     assert np.rad2deg(angle_rad) == pytest.approx(angle_deg, abs=0.1)
     assert measure_ellipticity(image, detected, xy[:7], 1.8) == (None, 0.0)
     # A star with a pixel of 98 % of the range or more does not count.
-    for value_dn, counts in ((0.979 * 4095, True), (0.981 * 4095, False)):
+    for value_dn, counts in ((0.979 * 4095, True), (0.98 * 4095, False)):
         image.pixels_dn[60, 60] = value_dn  # within the stamps of four stars
         assert (measure_ellipticity(image, detected, xy, 1.8)[0] is not None) == counts
 
@@ -345,3 +346,10 @@ def test_narrow_stars_may_grow() -> None:
         for factor in (1.0, 0.5)
     )
     assert (half.value, half.standard_error) == pytest.approx((whole.value, whole.standard_error), rel=1e-6)
+
+
+@pytest.mark.parametrize("axis", [(30.0, 25.0), (70.0, 25.0), (30.0, 55.0), (70.0, 55.0)])
+def test_the_farthest_corner_is_opposite_to_the_axis(axis: tuple[float, float]) -> None:
+    corner = np.array([100.0 if axis[0] < 50 else 0.0, 80.0 if axis[1] < 40 else 0.0])
+    found = _offsets(np.array([corner]), (81, 101), np.array(axis))
+    assert np.linalg.norm(found) == pytest.approx(1.0, rel=1e-12)
