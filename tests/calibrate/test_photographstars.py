@@ -126,8 +126,11 @@ def test_a_shape_is_that_of_the_clearest_stars_at_rest_or_moving(monkeypatch: py
     detected = replace(part.detected, peak_dn=signal * 4.0, saturated=saturated, psf_sigma_px=1.35)
     part = replace(part, detected=detected)
     for trail_px, misfits, moved, fits in (
-        (0.41, (1.2, 1.1), True, 2), (0.39, (1.2, 1.1), False, 1), (5.0, (1.1, 1.2), False, 2),
-    ):  # fmt: skip
+        (0.41, (1.2, 1.1), True, 2),
+        (0.4, (1.2, 1.1), False, 1),
+        (0.39, (1.2, 1.1), False, 1),
+        (5.0, (1.1, 1.2), False, 2),
+    ):
         joint, has_moved, asked = shape_of(monkeypatch, part, trail_px=trail_px, misfits=misfits)
         assert (has_moved, joint.misfit) == (moved, misfits[moved])
         assert [one for one in asked if isinstance(one, float)] == [1.35] * fits

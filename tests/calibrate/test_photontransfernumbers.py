@@ -1,6 +1,7 @@
 """Photon transfer by hand: each number and limit from both sides, on small images."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -233,6 +234,15 @@ def test_images_of_different_depths_need_the_depth(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="the images have 10 and 12 bits; give --bit-depth"):
         measure_darks(tmp_path / "d")
     assert measure_darks(tmp_path / "d", bit_depth=12).bit_depth == 12
+    image[3, 4] = 4095
+    cv2.imwrite(str(tmp_path / "d" / "0.png"), image)
+    assert measure_darks(tmp_path / "d").bit_depth == 12
+
+
+def test_dark_frames_of_one_stated_exposure_are_used() -> None:
+    darks = [replace(dark, exposure_s=0.5) for dark in photographs([even(200.0, 1), even(200.0, 2)])]
+    assert photon_transfer(darks).dark_frames == 2
+    assert photon_transfer([darks[0], replace(darks[1], exposure_s=None)]).dark_frames == 2
 
 
 def test_a_flat_field_is_the_mean_above_the_dark_frame_over_its_mean() -> None:
