@@ -191,7 +191,8 @@ def _yaml_message(error: yaml.YAMLError) -> str:
 
 def _unquoted(message: str) -> str:
     """Return a parser's message without its quotations from the file; its own <placeholders> stay."""
-    return " ".join(re.sub(r"'[^<'][^']+'", "'...'", message).split())[:200]
+    hidden = re.sub(r"'([^']*)'", lambda quoted: quoted[0] if re.match("<|.?$", quoted[1]) else "'...'", message)
+    return " ".join(hidden.split())[:200]
 
 
 # Size limit of a calibration file, bytes: OpenCV's file with the corners of a hundred chessboards is smaller.

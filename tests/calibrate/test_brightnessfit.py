@@ -14,11 +14,13 @@ from glstar.calibrate.photo.psf import draw_stars
 from glstar.calibrate.sensor.fit import (
     BrightnessFit,
     MeasuredStars,
+    _blended,
     _fit_in_range,
     _measurable,
     _median,
     _median_error,
     _moving,
+    _refuse_shaken,
     fit_brightness,
     fit_sensor,
 )
@@ -194,8 +196,8 @@ def test_stars_are_chosen_by_their_expected_brightness_if_enough_remain() -> Non
         else:
             assert fit.used.all()
     # Of too few above the noise, all that have light count.
-    faint = measured(np.array([4.0, 4.5, 5.0, 5.5]), np.array([9.0, 9.5, 10.4, -1.0]) * NOISE_DN)
-    assert in_range(faint).used.tolist() == [True, True, True, False]
+    faint = measured(np.array([4.0, 4.5, 5.0, 5.5, 6.0]), np.array([9.0, 9.5, 10.4, -1.0, 0.0]) * NOISE_DN)
+    assert in_range(faint).used.tolist() == [True, True, True, False, False]
     some = measured(np.array([4.0, 4.5, 5.0, 5.5, 6.0]), np.array([10.4, 10.5, 10.6, 9.6, 2.0]) * NOISE_DN)
     assert in_range(some).used.tolist() == [True, True, True, False, False]
 
@@ -267,6 +269,12 @@ def test_trails_are_fitted_if_they_are_long_and_fit_most_bright_stars_better(mon
         np.testing.assert_array_equal(call.stamp_trail_px, trail)
         assert call.only is identified
     assert _moving(above, usable, detected, identified, bright, np.zeros((0, 2)))[1] is False
+    assert len(calls) == 2
+    exact = SimpleNamespace(**vars(detected) | {"psf_sigma_px": 2.0})
+    assert _moving(above, usable, exact, identified, bright, np.array([[0.6, 0.0], [0.0, 0.0]]))[1]
+    # Trails that fit as well as points are none.
+    fake_fits(monkeypatch, [2.0, 3.0, 0.1], [2.0, 3.0, 9.0])
+    assert not _moving(above, usable, detected, identified, bright, trail)[1]
     # Points fit better in the geometric mean of both bright stars, although a faint one is better as a trail.
     fake_fits(monkeypatch, [2.0, 3.0, 0.1], [1.9, 3.1, 9.0])
     assert not _moving(above, usable, detected, identified, bright, trail)[1]
@@ -364,7 +372,7 @@ def test_pixels_near_the_largest_number_do_not_count() -> None:
 def test_few_bright_stars_give_the_width_together_with_faint_ones() -> None:
     image, detected, reference, matches = one_photograph()
     for bright in (3, 2):
-        detected.signal_to_noise = np.where(np.arange(11) <= bright, 12.0, 9.0)
+        detected.signal_to_noise = np.where(np.arange(11) <= bright, 10.0, 9.0)
         sensor = fit_sensor(image, detected, reference, matches, exposure_s=0.25)[0]
         wide = slice(1, 1 + bright) if bright == 3 else slice(1, 7)
         assert sensor.psf_sigma_px == _median(detected.sigma_px[wide], detected.signal_to_noise[wide] ** 2)
@@ -384,3 +392,14 @@ def test_trails_of_the_turning_sky_are_taken_out() -> None:
     np.testing.assert_allclose(stars.sigma_px[1:], 1.35, rtol=1e-3)
     np.testing.assert_array_equal(stars.trail_px, trail_px[:7])
     assert stars.moved
+
+
+def test_limits_of_blends_and_trails_are_their_first_values() -> None:
+    """A neighbour fainter by 3.5 mag exactly is none; nor is a camera shaken with 2.5 sigma more than its trails."""
+    reference = SimpleNamespace(stars=SimpleNamespace(vmag=np.array([2.0, 5.5, 2.0, 5.25])))
+    places = np.array([[0.0, 0.0], [3.0, 0.0], [100.0, 0.0], [103.0, 0.0]])
+    matches = Matched(star=np.array([0, 2]), predicted=np.arange(4), predicted_xy_px=places)
+    assert _blended(reference, matches, 1.5).tolist() == [False, True]
+    _refuse_shaken(SimpleNamespace(drawn_out_px=5.0), np.zeros((3, 2)), 2.0)
+    with pytest.raises(CalibrationError, match=r"trails of about 5 px, and sidereal motion explains 0\.0 px"):
+        _refuse_shaken(SimpleNamespace(drawn_out_px=5.01), np.zeros((3, 2)), 2.0)

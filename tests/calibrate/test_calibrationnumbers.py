@@ -153,7 +153,8 @@ def test_doubtful_numbers_are_noted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("std_dn", "uneven_dn", "noted"), [(4.0, 7.8, False), (4.0, 8.2, True), (0.3, 1.9, False), (0.3, 2.1, True)]
+    ("std_dn", "uneven_dn", "noted"),
+    [(4.0, 7.8, False), (4.0, 8.0, False), (4.0, 8.2, True), (0.3, 1.9, False), (0.3, 2.1, True)],
 )
 def test_an_uneven_sky_is_noted_beyond_twice_its_noise(std_dn: float, uneven_dn: float, noted: bool) -> None:
     part = handmade(OFF)

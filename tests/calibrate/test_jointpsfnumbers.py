@@ -103,6 +103,7 @@ def test_trails_have_nodes_for_each_width() -> None:
     assert (weights @ nodes, weights @ nodes**2) == (pytest.approx(0, abs=1e-12), pytest.approx(1 / 12, rel=1e-9))
     assert len(_trail_samples(np.array([[3.0, -4.0]]), 0.1)[0]) == 2 + 17
     assert len(_trail_samples(np.array([[0.0009, 0.0]]), 1.5)[0]) == 1
+    assert len(_trail_samples(np.array([[0.001, 0.0]]), 1.5)[0]) == 3
     assert len(_trail_samples(np.array([[0.0011, 0.0]]), 1.5)[0]) == 3
     assert len(_trail_samples(np.empty((0, 2)), 1.5)[0]) == 1
 
@@ -161,6 +162,17 @@ def test_pixels_nearer_to_another_star_do_not_count() -> None:
         np.testing.assert_array_equal(np.isfinite(stamps.variance_dn2[0]), counts)
 
 
+def test_pixels_between_two_stars_count_for_neither() -> None:
+    """Another star is one pixel away or more; whole numbers make distances equal."""
+    xy = np.array([[20.0, 20.0]])
+    for other in ([24.0, 20.0], [21.0, 20.0]):
+        _, stamps, _ = cut(xy, np.array([xy[0], other]), usable=np.ones((40, 60), bool))
+        rows, columns = np.mgrid[15:26, 15:26]
+        own, to_other = ((columns - x) ** 2 + (rows - y) ** 2 for x, y in (xy[0], other))
+        assert (to_other == np.minimum(own, 9)).any()
+        np.testing.assert_array_equal(np.isfinite(stamps.variance_dn2[0]), to_other > np.minimum(own, 9))
+
+
 def test_a_shape_is_a_point_spread_function_within_its_limits() -> None:
     plain = _Shape(1.3).psf
     assert plain == PointSpread()
@@ -180,6 +192,7 @@ def test_a_shape_is_a_point_spread_function_within_its_limits() -> None:
         "psf_colour_growth": 0.2,
     }
     assert asdict(full) | {"psf": 0} == pytest.approx(expected | {"psf": 0}, rel=1e-9)
+    assert _Shape(1.3, 15.0).psf == _Shape(1.3, e1=1e-4).psf == PointSpread()
     assert (_Shape(1.3, 14.9).psf.psf, _Shape(1.3, 15.1).psf.psf) == ("moffat", "gaussian")
     assert _Shape(1.3, 1.5).psf.psf_beta == 2.05
     far = _Shape(1.3, 20.0, 4.0, 0.5, 0.5, 0.9, 1.0, -2.0, 0.0, -0.7).psf
@@ -329,6 +342,7 @@ def test_errors_are_those_of_the_keys() -> None:
     ("group", "shape", "sd", "reason"),
     [
         (("growth",), _Shape(1.3, growth=0.31), [0.1], None),
+        (("growth",), _Shape(1.3, growth=0.375), [0.125], "psf_growth 0.38 ± 0.12 is not clear of 0"),
         (("growth",), _Shape(1.3, growth=0.29), [0.1], "psf_growth 0.29 ± 0.1 is not clear of 0"),
         (("growth",), _Shape(1.3, growth=2.9935), [0.1], None),
         (("growth",), _Shape(1.3, growth=2.9945), [0.1], "psf_growth 3 ± 0.1 ends at a limit of its fit, which"),
@@ -386,3 +400,11 @@ def test_a_pixel_row_of_a_gaussian_is_its_integral() -> None:
     light = stamps.profiles(PointSpread(), 1.4)[0]
     expected = quad(lambda x: norm.pdf(x, 4.3, 1.4), 1.5, 2.5)[0] * quad(lambda y: norm.pdf(y, 3.8, 1.4), 4.5, 5.5)[0]
     assert light[5, 2] == pytest.approx(expected, rel=1e-9)
+
+
+def test_stamps_have_no_gain_by_default() -> None:
+    given, stamps, _ = cut(np.array([[20.0, 20.0]]), np.array([[20.0, 20.0]]))
+    del given["dn_per_e"]
+    assert (stamps.dn_per_e, cut_stamps(**given)[0].dn_per_e) == (0.4, 0.0)
+    fields = {name: getattr(stamps, name) for name in StarStamps.__slots__ if name != "dn_per_e"}
+    assert StarStamps(**fields).dn_per_e == 0.0

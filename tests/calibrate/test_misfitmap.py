@@ -12,21 +12,19 @@ from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.photo.psf import star_shapes
 from glstar.calibrate.sensor import misfitmeasurement
 from glstar.calibrate.sensor.fit import BrightnessFit
-from glstar.calibrate.sensor.misfit import Measurement
 from glstar.calibrate.sensor.misfitmeasurement import (
     _brightness_map,
     _corner_loss,
+    _covers_corner,
     _fit_radial,
     _gradient,
     _growth,
+    _offsets,
     _patch_noise,
-    _weighted_median,
     corner_distance,
     measure_ellipticity,
-    measure_misfit,
     measure_noise_structure,
 )
-from glstar.camera.sensor.sensor import Sensor
 
 
 class Stars(SimpleNamespace):
@@ -130,12 +128,12 @@ def coloured(seed: int, shape: tuple[int, int]) -> np.ndarray:
 
 def test_the_noise_of_a_patch_has_a_correlation_and_a_variance_for_each_pixel_of_the_lattice() -> None:
     noise = coloured(1, (120, 130)) + 0.7
-    noise[60, 70] = 8.5  # A star: 3.5 times 2.4 DN and more
-    xy = np.array([[30.4, 40.6], [125.0, 3.0], [-30.0, 50.0]])
+    noise[60, 70], noise[60, 90] = 8.5, 3.5 * 2.4  # stars: 3.5 times 2.4 DN and more
+    xy = np.array([[30.4, 40.6], [125.0, 3.0], [4.2, 100.3], [-30.0, 50.0], [-9.5, 80.0]])
     correlation, lattice = _patch_noise(noise, 2.4, xy, 1.5)
     starless = np.abs(noise) < 3.5 * 2.4
     assert not starless[60, 70]
-    for x, y in xy[:2]:  # the third is too far away
+    for x, y in xy[:3]:  # the others are too far away
         # Squares of 5 sigma and 2 px are left out.
         rows, columns = np.indices(noise.shape)
         first, last = np.trunc([[x - 9.5, y - 9.5], [x + 9.5, y + 9.5]])
@@ -244,7 +242,7 @@ def test_the_ellipticity_is_that_of_the_axes_without_the_pixel(angle_deg: float)
     assert np.rad2deg(angle_rad) == pytest.approx(angle_deg, abs=0.1)
     assert measure_ellipticity(image, detected, xy[:7], 1.8) == (None, 0.0)
     # A star with a pixel of 98 % of the range or more does not count.
-    for value_dn, counts in ((0.979 * 4095, True), (0.981 * 4095, False)):
+    for value_dn, counts in ((0.979 * 4095, True), (0.98 * 4095, False)):
         image.pixels_dn[60, 60] = value_dn  # within the stamps of four stars
         assert (measure_ellipticity(image, detected, xy, 1.8)[0] is not None) == counts
 
@@ -260,197 +258,6 @@ def test_the_error_of_an_ellipticity_is_that_of_the_median_of_resampled_stars() 
     assert angle_rad == pytest.approx(np.arctan2(middle[1], middle[0]) / 2, rel=1e-9)
     some = np.random.default_rng(0).integers(0, 15, (200, 15))
     assert found.standard_error == pytest.approx(np.median(parts[:, some], axis=2).std(axis=1).max(), rel=1e-9)
-
-
-def misfit_of(monkeypatch: pytest.MonkeyPatch, count: int = 160, trail_px: float = 0.0, drawn_out_px: float = 0.0):
-    """Return a misfit whose shapes are not measured, its stars, and the stars whose shapes were asked for."""
-    rng = np.random.default_rng(10)
-    xy = rng.uniform(0, [399, 299], (count, 2))
-    noise = np.full(count, 4.0)
-    signal = np.linspace(200, 30, count)
-    if count == 60:
-        signal[-2:] = 20.5, 19.5
-    vmag = 3.9 - 2.5 * np.log10(signal * 4 / 800)
-    saturated, blended = np.arange(count) == 3, np.arange(count) == 5
-    stars = Stars(
-        xy_px=xy,
-        peak_dn=signal * 4,
-        noise_dn=noise,
-        vmag=vmag,
-        sigma_px=np.full(count, 1.3),
-        saturated=saturated,
-        blended=blended,
-        longest_trail_px=trail_px,
-    )
-    used = np.arange(count) % 3 != 0
-    detection = np.arange(count)[::-1].copy()
-    solution = SimpleNamespace(camera=SimpleNamespace(width_px=400, cx_px=190.0, cy_px=160.0), mirrored=False)
-    matches = SimpleNamespace(solution=solution, detection=detection)
-    detected = SimpleNamespace(
-        background=SimpleNamespace(level_dn=np.full((300, 400), 20.0), noise_dn=np.full((300, 400), 4.0)),
-        xy_px=xy,
-        psf_sigma_px=1.3,
-        drawn_out_px=drawn_out_px,
-    )
-    asked: dict[str, object] = {}
-
-    def wings(image: object, detected: object, chosen: object, sigma_px: float, signal: object) -> tuple:
-        asked.update(chosen=chosen, sigma_px=sigma_px, signal=signal)
-        return Measurement(0.01, 0.02), None
-
-    def ellipticity(image: object, detected: object, xy_px: object, sigma_px: float) -> tuple:
-        asked.update(xy_px=xy_px)
-        return Measurement(0.03, 0.04), 0.5
-
-    monkeypatch.setattr(misfitmeasurement, "measure_wings", wings)
-    monkeypatch.setattr(misfitmeasurement, "measure_ellipticity", ellipticity)
-    image = picture(20 + 4 * rng.standard_normal((300, 400)))
-    return measure_misfit(image, detected, matches, Sensor(psf_sigma_px=1.4), law(used), stars), stars, asked
-
-
-def test_shapes_are_measured_on_the_150_brightest_lone_stars(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, stars, asked = misfit_of(monkeypatch)
-    signal = stars.peak_dn / 4.0
-    lone = [k for k in range(160) if k not in {3, 5}]
-    assert len(lone) > 150
-    expected = lone[:150]  # they are in the order of their brightness
-    assert asked["chosen"].tolist() == (159 - np.array(expected)).tolist()
-    np.testing.assert_allclose(asked["signal"], signal[expected], rtol=1e-12)
-    np.testing.assert_array_equal(asked["xy_px"], stars.xy_px[expected])
-    assert asked["sigma_px"] == 1.4
-    assert (found.wing_fraction, found.ellipticity, found.long_axis_rad) == (
-        Measurement(0.01, 0.02),
-        Measurement(0.03, 0.04),
-        0.5,
-    )
-    # All stars are a tenth of a magnitude too faint, evenly.
-    assert found.corner_growth.value == pytest.approx(0, abs=1e-9)
-    assert found.corner_loss_mag.value == pytest.approx(0, abs=1e-9)
-    assert np.nanmax(np.abs(found.brightness_map_mag - 0.1)) < 1e-9
-    assert found.mean_loss_mag == pytest.approx(0, abs=1e-9)
-    assert found.gradient_dn.value == pytest.approx(0, abs=1e-9)
-    assert found.neighbour_correlation.value == pytest.approx(0, abs=0.03)
-
-
-def test_shapes_are_measured_on_stars_of_twenty_times_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, stars, asked = misfit_of(monkeypatch, 60)
-    expected = [k for k in range(59) if k not in {3, 5}]
-    np.testing.assert_array_equal(asked["xy_px"], stars.xy_px[expected])
-
-
-def test_shapes_need_eight_stars_with_short_trails(monkeypatch: pytest.MonkeyPatch) -> None:
-    for count, measured in ((10, True), (9, False)):  # two of them are saturated or blended
-        found, _, asked = misfit_of(monkeypatch, count)
-        assert ("chosen" in asked, found.wing_fraction is not None) == (measured, measured)
-        assert found.corner_growth is None
-    # Half a sigma of a trail is too long; elongated stars have wings but no ellipse.
-    for trail_px, measured in ((0.69, True), (0.71, False)):
-        found, _, asked = misfit_of(monkeypatch, trail_px=trail_px)
-        assert ("chosen" in asked, found.ellipticity is not None) == (measured, measured)
-    found, _, _ = misfit_of(monkeypatch, drawn_out_px=3.0)
-    assert (found.wing_fraction is not None, found.ellipticity, found.long_axis_rad) == (True, None, 0.0)
-
-
-def test_the_brightness_of_wider_stars_is_not_underestimated() -> None:
-    """Stars that widen to the corner keep their flux: their amplitude for one width is that of the overlap."""
-    rng = np.random.default_rng(11)
-    count, axis = 120, np.array([199.5, 149.5])
-    xy = rng.uniform(0, [399, 299], (count, 2))
-    r2 = ((xy - axis) ** 2).sum(axis=1) / (axis**2).sum()
-    width = 1.4 * (1 + 0.3 * r2)
-    width /= np.median(width) / 1.4
-    fitted2, real2 = 1.4**2 + 1 / 12, width**2 + 1 / 12
-    vmag = rng.uniform(3, 5, count)
-    peak = 800 * 10 ** (-0.4 * (vmag - 4)) * 2 * fitted2 / (fitted2 + real2)
-    none = np.zeros(count, bool)
-    stars = Stars(
-        xy_px=xy,
-        peak_dn=peak,
-        noise_dn=np.full(count, 4.0),
-        vmag=vmag,
-        sigma_px=width,
-        saturated=none,
-        blended=none,
-        longest_trail_px=9.0,
-    )
-    solution = SimpleNamespace(camera=SimpleNamespace(width_px=400, cx_px=199.5, cy_px=149.5), mirrored=False)
-    level = np.full((300, 400), 20.0)
-    background = SimpleNamespace(level_dn=level, noise_dn=level)
-    detected = SimpleNamespace(background=background, xy_px=xy, psf_sigma_px=1.3, drawn_out_px=0.0)
-    matches = SimpleNamespace(solution=solution, detection=np.arange(count))
-    found = measure_misfit(picture(level), detected, matches, Sensor(psf_sigma_px=1.4), law(~none), stars)
-    assert found.corner_growth.value == pytest.approx(0.3, rel=1e-3)
-    assert found.corner_loss_mag.value == pytest.approx(0, abs=1e-3)
-    assert np.nanmax(np.abs(found.brightness_map_mag)) < 1e-3
-    assert (found.wing_fraction, found.stacked, found.ellipticity, found.neighbour_correlation) == (
-        None,
-        None,
-        None,
-        None,
-    )
-    # Faint stars do not decide about the growth.
-    faint = replace_stars(stars, noise_dn=np.where(np.arange(count) < 19, 4.0, peak / 9.9))
-    assert (
-        measure_misfit(picture(level), detected, matches, Sensor(psf_sigma_px=1.4), law(~none), faint).corner_growth
-        is None
-    )
-
-
-def replace_stars(stars: Stars, **given: object) -> Stars:
-    return Stars(**vars(stars) | given)
-
-
-def test_wings_are_weighted_means_of_what_exceeds_each_gaussian(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stars that have no profile, or whose fit did not converge, do not count; weights grow to a ratio of 60."""
-    rng = np.random.default_rng(12)
-    chosen, signal = np.arange(20, 32), np.linspace(45, 75, 12)
-    sigma, peak = rng.uniform(1.1, 1.6, 12), rng.uniform(300, 900, 12)
-    profiles = [
-        None if k == 4 else tuple(rng.uniform(0.2, 9.0 if part == 0 else 1.0, 80) for part in range(3))
-        for k in range(12)
-    ]
-    fits = SimpleNamespace(
-        sigma_px=sigma, peak_dn=peak, xy_px=rng.uniform(0, 90, (12, 2)), converged=np.arange(12) != 6
-    )
-    calls = []
-
-    def fit_stars(above, usable, xy_px, *, start_sigma_px, only):
-        calls.append((above, usable, xy_px, start_sigma_px, only))
-        return fits
-
-    def star_profile(above, usable, xy_px, star, sigma_px, centre):
-        k = star - 20
-        assert (sigma_px, centre.tolist()) == (sigma[k], fits.xy_px[k].tolist())
-        return profiles[k]
-
-    monkeypatch.setattr(misfitmeasurement, "fit_stars", fit_stars)
-    monkeypatch.setattr(misfitmeasurement, "_star_profile", star_profile)
-    pixels = np.full((30, 40), 70.0)
-    pixels[2, 3], pixels[4, 5] = 0.979 * 4095, 0.981 * 4095
-    detected = SimpleNamespace(background=SimpleNamespace(level_dn=np.full((30, 40), 20.0)), xy_px="places")
-    found, stacked = misfitmeasurement.measure_wings(picture(pixels), detected, chosen, 1.4, signal)
-    above, usable, places, start_px, only = calls[0]
-    np.testing.assert_array_equal(above, pixels - 20)
-    assert np.argwhere(~usable).tolist() == [[4, 5]]
-    assert (places, start_px, only is chosen) == ("places", 1.4, True)
-    wings, weights, rows = [], [], []
-    for k in sorted(set(range(12)) - {4, 6}):
-        radius, light, gaussian = profiles[k]
-        outside = (radius >= 3) & (radius < 8)
-        # The area of the ring, px^2, in sigma as recorded, over the flux of the Gaussian.
-        ring = np.pi * (64 - 9) * (sigma[k] ** 2 + 1 / 12)
-        wings.append(ring * np.mean((light - peak[k] * gaussian)[outside]) / (2 * np.pi * sigma[k] ** 2 * peak[k]))
-        weights.append(min(signal[k], 60.0) ** 2)
-        recorded = peak[k] * sigma[k] ** 2 / (sigma[k] ** 2 + 1 / 12)
-        parts = [(radius >= 0.5 * n) & (radius < 0.5 * n + 0.5) for n in range(16)]
-        rows.append([np.mean(light[part]) / recorded if part.any() else np.nan for part in parts])
-    values, heavy = np.array(wings), np.array(weights)
-    assert found.value == pytest.approx(_weighted_median(values, heavy), rel=1e-9)
-    some = np.random.default_rng(0).integers(0, 10, (200, 10))
-    assert found.standard_error == pytest.approx(
-        np.std([_weighted_median(values[k], heavy[k]) for k in some]), rel=1e-9
-    )
-    np.testing.assert_allclose(stacked.brightness, np.nanmedian(rows, axis=0), rtol=1e-9)
 
 
 def radial_surface(count: int, seed: int) -> tuple[np.ndarray, ...]:
@@ -471,7 +278,7 @@ def test_a_radial_fit_solves_its_weighted_equations() -> None:
     relative = weights / weights.mean()
     scaled = np.abs(residual) * np.sqrt(relative)
     robust = relative * np.minimum(1, 1.5 * 1.4826 * np.median(scaled) / scaled)
-    np.testing.assert_allclose(design.T @ (robust * residual), 0, atol=1e-4)
+    np.testing.assert_allclose(design.T @ (robust * residual), 0, rtol=0, atol=1e-4)
     inverse = np.linalg.inv(design.T @ np.diag(robust) @ design)
     meat = design.T @ np.diag((robust * residual) ** 2) @ design
     np.testing.assert_allclose(covariance, inverse @ meat @ inverse * 80 / 76, rtol=1e-3)
@@ -493,3 +300,56 @@ def test_the_growth_is_weighted_with_the_signal_up_to_sixty() -> None:
     # A width below 0 on the axis is none.
     found, width = _growth(image, Stars(xy_px=stars.xy_px, sigma_px=-values), good, signal, axis)
     assert (found, width.tolist()) == (None, [1.0] * 80)
+
+
+def test_stars_much_smaller_than_their_kind_have_no_ellipse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tenth of the square of the typical width is the least size of a star without the pixel."""
+    sizes = np.full(10, 4.0)
+    sizes[2], sizes[5] = 0.104 * 1.8**2, 0.096 * 1.8**2
+    share = np.linspace(0.1, 0.4, 10)
+    xx, yy, xy = (sizes + 1 / 6) / 2 * (1 + share), (sizes + 1 / 6) / 2 * (1 - share), 0.1 * sizes
+    monkeypatch.setattr(misfitmeasurement, "star_shapes", lambda *_: (xx, yy, xy))
+    detected = SimpleNamespace(background=SimpleNamespace(level_dn=np.zeros((5, 6))))
+    found, _ = measure_ellipticity(picture(np.zeros((5, 6))), detected, np.zeros((10, 2)), 1.8)
+    good = np.arange(10) != 5
+    parts = np.array([(xx - yy)[good], 2 * xy[good]]) / np.median((xx + yy - 1 / 6)[good])
+    assert found.value == pytest.approx(np.hypot(*np.median(parts, axis=1)), rel=1e-9)
+
+
+def test_the_error_of_a_gradient_is_that_of_its_fit_with_shared_tiles() -> None:
+    level = 30 + np.random.default_rng(17).standard_normal((60, 90))
+    rows, columns = (np.rint(np.linspace(0, side - 1, 16)).astype(int) for side in (60, 90))
+    half = np.hypot(89, 59) / 2
+    x, y = np.meshgrid((columns - 44.5) / half, (rows - 29.5) / half)
+    offset = np.column_stack([x.ravel(), y.ravel()])
+    p, covariance = _fit_radial(offset, level[np.ix_(rows, columns)].ravel(), np.ones(256))
+    sides = np.array([89, 59]) / half
+    gradient = _gradient(level)[0]
+    assert gradient.value == pytest.approx(np.abs(p[1:3]) @ sides, rel=1e-9)
+    expected = 2 * np.sqrt(np.diag(covariance)[1:3] @ sides**2)
+    assert gradient.standard_error == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_corner_needs_a_tenth_of_the_stars() -> None:
+    far = np.where(np.arange(30) == 3, 1.0, 0.1)
+    assert not _covers_corner(np.column_stack([far, np.zeros(30)]))
+    far[[5, 8, 9]] = 1.0
+    assert _covers_corner(np.column_stack([far, np.zeros(30)]))
+
+
+def test_narrow_stars_may_grow() -> None:
+    offset, _, values = radial_surface(80, 15)
+    axis, corner = np.array([140.0, 90.0]), np.hypot(299 - 140, 199 - 90)
+    image, every = SimpleNamespace(pixels_dn=np.zeros((200, 300))), np.ones(80, bool)
+    whole, half = (
+        _growth(image, Stars(xy_px=axis + offset * corner, sigma_px=factor * values), every, np.full(80, 50.0), axis)[0]
+        for factor in (1.0, 0.5)
+    )
+    assert (half.value, half.standard_error) == pytest.approx((whole.value, whole.standard_error), rel=1e-6)
+
+
+@pytest.mark.parametrize("axis", [(30.0, 25.0), (70.0, 25.0), (30.0, 55.0), (70.0, 55.0)])
+def test_the_farthest_corner_is_opposite_to_the_axis(axis: tuple[float, float]) -> None:
+    corner = np.array([100.0 if axis[0] < 50 else 0.0, 80.0 if axis[1] < 40 else 0.0])
+    found = _offsets(np.array([corner]), (81, 101), np.array(axis))
+    assert np.linalg.norm(found) == pytest.approx(1.0, rel=1e-12)

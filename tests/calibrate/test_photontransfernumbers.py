@@ -1,6 +1,7 @@
 """Photon transfer by hand: each number and limit from both sides, on small images."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -174,6 +175,8 @@ def test_a_pixel_is_hot_ten_deviations_and_4_dn_above_the_median(deviation_dn: f
     """Ordinary pixels scatter by the median deviation times 1.4826."""
     level = 100 + deviation_dn * np.resize([-1.5, -1.0, 0.0, 1.0, 1.5], (40, 50))
     level[5, 6], level[7, 8] = 100 + 0.97 * limit_dn, 100 + 1.03 * limit_dn
+    if limit_dn == 4:
+        level[5, 6] = 104.0
     found = photon_transfer(photographs([level, level, level]))
     assert (found.hot, found.black_level_dn, found.read_noise_dn) == (1, 100.0, 0.0)
     assert (found.flat_field, found.prnu_fraction, found.flat_fields, found.dark_frames) == (None, None, 0, 3)
@@ -186,7 +189,7 @@ def test_dark_frames_may_differ_by_their_read_noise_or_2_dn() -> None:
     for read_dn, limit_dn in ((0.5, 2.0), (5.0, 5.0)):
         frame = 200 + read_dn * rng.standard_normal((2, 200, 250))
         frame -= np.median(frame, axis=(1, 2), keepdims=True) - 200
-        for drift, refused in ((0.96, False), (1.04, True)):
+        for drift, refused in ((0.96, False), (1.0, False), (1.04, True)):
             darks = photographs([frame[0], frame[1] + drift * limit_dn])
             if refused:
                 with pytest.raises(CalibrationError, match=r"level of 0\.png is 200 DN, and that of 1\.png is"):
@@ -231,6 +234,15 @@ def test_images_of_different_depths_need_the_depth(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="the images have 10 and 12 bits; give --bit-depth"):
         measure_darks(tmp_path / "d")
     assert measure_darks(tmp_path / "d", bit_depth=12).bit_depth == 12
+    image[3, 4] = 4095
+    cv2.imwrite(str(tmp_path / "d" / "0.png"), image)
+    assert measure_darks(tmp_path / "d").bit_depth == 12
+
+
+def test_dark_frames_of_one_stated_exposure_are_used() -> None:
+    darks = [replace(dark, exposure_s=0.5) for dark in photographs([even(200.0, 1), even(200.0, 2)])]
+    assert photon_transfer(darks).dark_frames == 2
+    assert photon_transfer([darks[0], replace(darks[1], exposure_s=None)]).dark_frames == 2
 
 
 def test_a_flat_field_is_the_mean_above_the_dark_frame_over_its_mean() -> None:
@@ -254,3 +266,34 @@ def test_a_flat_field_is_the_mean_above_the_dark_frame_over_its_mean() -> None:
     assert found.dn_per_e == pytest.approx(1.5, rel=0.05)
     assert found.prnu_fraction == pytest.approx(np.std(response[not_hot & ~found.is_dead]), rel=0.06)
     assert found.read_noise_dn == pytest.approx(np.sqrt(9 - 1 / 12), rel=0.03)
+
+
+def even(level: float, seed: int) -> np.ndarray:
+    """Return whole numbers whose mean is exactly a level."""
+    rng = np.random.default_rng(seed)
+    half = rng.integers(-60, 61, 1000)
+    return level + np.concatenate([half, -half]).reshape(40, 50)
+
+
+@pytest.mark.parametrize(
+    ("levels", "dark_dn", "used"),
+    [
+        ((1000.0, 980.0), 0.0, True),  # 2 % exactly
+        ((3295.0, 3295.0), 95.0, False),  # 80 % of the range of 4000 DN exactly
+        ((3294.0, 3294.0), 95.0, True),
+        ((95.0, 95.0), 95.0, False),  # no light
+    ],
+)
+def test_limits_of_flat_fields_are_exact(levels: tuple[float, float], dark_dn: float, used: bool) -> None:
+    given = photographs([even(level, k) for k, level in enumerate(levels)]), np.full((40, 50), dark_dn), 0.5
+    if used:
+        assert _gain(*given, np.ones((40, 50), bool))[0] > 0
+    else:
+        with pytest.raises(CalibrationError, match="no two flat fields have the same brightness below 80 %"):
+            _gain(*given, np.ones((40, 50), bool))
+
+
+def test_a_gain_of_zero_is_refused() -> None:
+    one, other = even(1000.0, 1), even(1000.0, 2)
+    with pytest.raises(CalibrationError, match="the flat fields are no brighter than the dark frames"):
+        _gain(photographs([one, other]), np.zeros((40, 50)), _half_variance(one - other), np.ones((40, 50), bool))

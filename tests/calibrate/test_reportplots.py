@@ -24,6 +24,7 @@ from glstar.calibrate.sensor.report import (
     _surface,
     _width,
     draw_geometry,
+    draw_report,
     simulated,
 )
 from tests.support.handmade import CAMERA, PLAIN, handmade, with_stars
@@ -245,7 +246,7 @@ def test_the_brightest_thirty_stars_are_marked_and_the_lone_ones_named() -> None
     part = handmade(np.zeros(40))
     places = np.column_stack([20 + 60 * (np.arange(40) % 6), 20 + 40 * (np.arange(40) // 6)]).astype(float)
     places[3] = places[1] + [11.9, 0.0]
-    places[4] = places[2] + [0.0, 12.1]
+    places[4] = places[2] + [0.0, 12.0]
     names = ["" if k == 5 else f"S{k}" for k in range(40)]
     detected = replace(part.detected, xy_px=places)
     stars = replace(part.reference.stars, name=tuple(names))
@@ -307,3 +308,25 @@ def test_a_page_has_the_width_of_15_inches_and_the_height_of_its_photograph() ->
     assert CAMERA.width_px == 400
     page = cv2.imdecode(np.frombuffer(draw_geometry(part.geometry), np.uint8), cv2.IMREAD_COLOR)
     assert page.shape[:2] == (704, 1650)  # 110 dots an inch; 5.4 inches of the photograph, and one
+
+
+def test_plots_lie_on_the_page_beside_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda page, *_, **__: pages.append(page))
+    part = handmade(OFF)
+    draw_report(part)
+    draw_geometry(part.geometry)
+    assert [len(page.axes) for page in pages] == [10, 2]
+    assert pages[0].get_size_inches().tolist() == pytest.approx([15, 5.4 + 11.5 + 3.9])
+    for page in pages:
+        boxes = [one.get_position() for one in page.axes]
+        for k, box in enumerate(boxes):
+            assert min(box.x0, box.y0) > 0
+            assert max(box.x1, box.y1) < 1
+            assert not any(box.overlaps(other) for other in boxes[:k])
+        # The title is 0.15 inches below the upper edge.
+        assert page.get_suptitle().startswith("a.png: 40 stars identified (by hand)")
+        assert (1 - page._suptitle.get_position()[1]) * page.get_size_inches()[1] == pytest.approx(0.15)
+    # From the lower edge, inches: the lowest row, the two above it, and the images.
+    bottoms = sorted({round(box.y0 * 20.8, 3) for box in (one.get_position() for one in pages[0].axes)})
+    assert bottoms == [0.6, 4.1, 4.3, 9.0, 10.5, 14.8]

@@ -152,6 +152,9 @@ def test_a_matrix_may_have_a_skew_and_keys_must_agree_with_it() -> None:
         (BASE | {"roi": {"x_offset": 5, "width": 10, "height": 20}}, "has roi of 10 x 20 px at 5, 0; its matrix"
                                                                      " is for the whole"
          " image: give the size of the cropped images, subtract 5 and 0 from cx and cy, and remove roi"),
+        (BASE | {"roi": {"y_offset": 7}}, "has roi of 0 x 0 px at 0, 7; its matrix is for the whole image: give"
+                                          " the size of the"
+         " cropped images, subtract 0 and 7 from cx and cy, and remove roi"),
         (BASE | {"roi": {"width": 10, "height": 20}}, "has roi of 10 x 20 px at 0, 0; its matrix is for the"
                                                       " whole image: give the"
          " size of the cropped images, subtract 0 and 0 from cx and cy, and remove roi"),
@@ -164,7 +167,7 @@ def test_what_is_no_camera_is_refused(keys: dict, message: str) -> None:
 def test_an_image_that_is_whole_is_read() -> None:
     for keys in (
         {"binning_x": 1, "binning_y": 0}, {"roi": {"width": 640, "height": 480}}, {"roi": {"width": 0, "height": 0}},
-        {"roi": {"width": 0, "height": 20}}, {"roi": True},
+        {"roi": {"width": 0, "height": 20}}, {"roi": True}, {"radial": 0},
     ):  # fmt: skip
         assert read(BASE | keys) == (PINHOLE, ())
 
@@ -173,6 +176,8 @@ def test_an_image_that_is_whole_is_read() -> None:
     ("fx", "fy", "keys", "refused"),
     [
         (63.9, 47.9, {"D": [0.1, 0, 0, 0, 0]}, True),
+        (64.0, 47.9, {"D": [0.1, 0, 0, 0, 0]}, False),
+        (63.9, 48.0, {"D": [0.1, 0, 0, 0, 0]}, False),
         (64.1, 47.9, {"D": [0.1, 0, 0, 0, 0]}, False),
         (63.9, 48.1, {"D": [0.1, 0, 0, 0, 0]}, False),
         (63.9, 47.9, {}, True),
@@ -367,8 +372,8 @@ def test_coefficients_that_are_no_lens_are_refused(keys: dict, message: str) -> 
 
 
 def test_four_numbers_without_a_model_are_assumed_to_be_tangential() -> None:
-    camera, notes = read(BASE | {"D": [0.1, 0.2, 0.0149, -0.0149]})
-    assert camera.lens == Lens("plumb_bob", (0.1, 0.2, 0.0149, -0.0149))
+    camera, notes = read(BASE | {"D": [0.1, 0.2, 0.015, -0.015]})
+    assert camera.lens == Lens("plumb_bob", (0.1, 0.2, 0.015, -0.015))
     assert notes == (
         "D has four numbers and no key names the model: plumb_bob is assumed; for a fisheye, add distortion_model:"
         " equidistant",

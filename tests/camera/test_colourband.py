@@ -78,3 +78,25 @@ def test_what_a_band_has_not_is_an_error_that_names_the_key(keys: dict, key: str
     with pytest.raises(ConfigError) as caught:
         ColourBand(**keys)
     assert caught.value.key == key
+
+
+# Sums over mean, red, green and blue, so that no value of a fit changes: slopes and curvatures in thousandths of a
+# magnitude, photons in thousandths, and wavelengths, nm.
+SUMS = {
+    "imx477": (292 - 183 + 141 + 741, -56 - 14 - 16 - 61, 1000 + 312.5 + 1212.5 + 1237.5, 522 + 584 + 532 + 470),
+    "imx219": (142 - 359 + 75 + 673, -86 - 35 - 32 - 77, 1000 + 727 + 1126 + 1022, 554 + 618 + 549 + 488),
+    "ov5647": (186 - 340 + 37 + 685, -103 - 52 - 39 - 50, 1000 + 703 + 969 + 1359, 552 + 620 + 555 + 482),
+}
+
+
+@pytest.mark.parametrize("band", SUMS)
+def test_the_numbers_of_a_band_are_those_of_its_fit(band: str) -> None:
+    colours = ColourBand(band=band)
+    channels = (None, "r", "g", "b")
+    # Magnitudes at B - V of 1 and of 1/2 give slope and curvature.
+    at_1, at_half = (sum(float(colours.magnitude_minus_v(bv, c)) for c in channels) for bv in (1.0, 0.5))
+    curvature = 2 * (at_1 - 2 * at_half)
+    photons = 1 + sum(colours.photons(c) for c in "rgb")
+    wavelength_nm = sum(colours.wavelength_nm(c) for c in channels)
+    found = (1000 * (at_1 - curvature), 1000 * curvature, 1000 * photons, wavelength_nm)
+    assert found == pytest.approx(SUMS[band], rel=0, abs=1e-6)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glstar.camera.distortion import Lens
+from glstar.camera.distortion import Lens, _first_fold
 from glstar.camera.model import Camera, directions_seen
 from glstar.errors import CalibrationError
 from glstar.images.decoding import rectify
@@ -274,7 +274,7 @@ def test_an_invalid_lens_is_refused(model, coefficients, words: str) -> None:
 
 
 def test_the_limits_of_coefficients_and_of_the_image_circle_are_valid() -> None:
-    for coefficients in ((-0.999999, 0.0), (0.3, 1.0), (1.7, 0.4)):
+    for coefficients in ((-0.999999, 0.0), (0.3, 1.0), (0.3, 0.0), (1.7, 0.4)):
         assert Lens("double_sphere", coefficients).coefficients == coefficients
     assert Lens("eucm", (0.4, 1e-9)).coefficients == (0.4, 1e-9)
     for model, coefficients in (("double_sphere", (0.3, 1.000001)), ("double_sphere", (0.3, -1e-6)), ("omni", (-1.0,))):
@@ -375,3 +375,35 @@ def test_numbers_that_cannot_be_rectified_are_refused(dtype: type, lens: Lens | 
 
     with pytest.raises(CalibrationError, match=f"holds {np.dtype(dtype).name}; rectify images of uint8, uint16"):
         rectify(np.zeros((camera.height_px, camera.width_px), dtype), camera)
+
+
+def test_the_first_fold_is_found_on_every_circle_that_has_one() -> None:
+    """Against the determinants on all circles, by complex steps: none of those that are left out folds."""
+    azimuth = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+    radii = np.linspace(0.0, 3.0, 50)
+    x, y = np.outer(radii, np.cos(azimuth)), np.outer(radii, np.sin(azimuth))
+    rng = np.random.default_rng(11)
+    found = []
+    for _ in range(150):
+        k = rng.normal(0.0, (0.2, 0.05, 0.01, 0.1, 0.02, 0.002)) * rng.choice([0.0, 1.0], 6, p=[0.3, 0.7])
+        t = rng.normal(0.0, 10 ** rng.uniform(-3, -0.7), 6) * rng.choice([0.0, 1.0], 6)
+
+        def moved(x: np.ndarray, y: np.ndarray, k: np.ndarray = k, t: np.ndarray = t) -> np.ndarray:
+            q = x * x + y * y
+            factor = (1 + k[0] * q + k[1] * q**2 + k[2] * q**3) / (1 + k[3] * q + k[4] * q**2 + k[5] * q**3)
+            p1, p2, s1, s2, s3, s4 = t
+            return np.array([
+                x * factor + 2 * p1 * x * y + p2 * (q + 2 * x * x) + s1 * q + s2 * q**2,
+                y * factor + p1 * (q + 2 * y * y) + 2 * p2 * x * y + s3 * q + s4 * q**2,
+            ])  # fmt: skip
+
+        xx, yx = moved(x + 1e-20j, y + 0j).imag / 1e-20
+        xy, yy = moved(x + 0j, y + 1e-20j).imag / 1e-20
+        folded = (xx * yy - xy * yx <= 0).any(axis=1)
+        expected = int(folded.argmax()) if folded.any() else None
+        coefficients = (k[0], k[1], t[0], t[1], k[2], *k[3:], *t[2:], 0.0, 0.0)
+        assert _first_fold(coefficients, radii) == expected
+        found.append(expected)
+    # Folds lie anywhere between the axis and the last circle, or nowhere.
+    assert found.count(None) > 20
+    assert len(set(found)) > 20

@@ -242,3 +242,19 @@ def test_a_span_is_that_of_all_rows_and_short_exposures() -> None:
     np.testing.assert_array_equal(stack.short_times_s()[:, 0], 50 + 0.625 * np.arange(5))
     np.testing.assert_array_equal(stack.short_times_s()[:, 1], 50.375 + 0.625 * np.arange(5))
     np.testing.assert_array_equal(stack.sub_utc_s(2), [50.71875, 52.15625])
+
+
+def test_an_image_of_two_rows_opens_within_its_readout() -> None:
+    exposure = Exposure(0.0, 1.0, readout_s=0.6)
+    assert exposure.opening_s(5, 2) == (0.0, 0.6, 0.0)
+    assert exposure.opening_s(5, 1) == (0.0, 0.0, 0.0)
+
+
+def test_a_sum_has_65535_dn_at_most() -> None:
+    assert Exposure(0.0, 0.1, frames=15).full_scale_dn(4369) == 65535
+    with pytest.raises(ConfigError) as caught:
+        Exposure(0.0, 0.1, frames=16).full_scale_dn(4096)
+    assert str(caught.value) == (
+        "exposure.frames: is 16, and the sum of 16 exposures of up to 4096 DN reaches 65536 DN, more than 16 bits hold"
+        ' (65535 DN); take at most 15, a smaller sensor.bit_depth, or exposure.stack = "mean"'
+    )

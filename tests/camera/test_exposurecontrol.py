@@ -133,6 +133,13 @@ def test_the_product_of_time_and_gain_goes_to_the_target(
     assert ODD.product_after(product_s, measured_s, level) == pytest.approx(expected_s, rel=1e-9)
 
 
+def test_the_limits_of_the_filter_are_exact() -> None:
+    """Two hundredths of the product are a change, and a fifth of what is wanted is not near."""
+    slow = replace(ODD, limits_s=(0.002, 100.0))
+    assert slow.product_after(50.0, 51.0, 0.25) == pytest.approx(50 + 0.6, rel=1e-12)
+    assert slow.product_after(40.0, 50.0, 0.25) == pytest.approx(40 + 0.36 * 10, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("product_s", "expected"),
     [

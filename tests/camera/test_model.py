@@ -162,7 +162,8 @@ def test_an_image_of_one_row_or_column_is_valid() -> None:
 
 def test_a_position_outside_is_not_contained_without_a_margin(camera: Camera) -> None:
     assert camera.contains([[-0.4, 3.0], [1013.4, 759.4]]).all()
-    assert not camera.contains([[-0.6, 3.0], [3.0, 759.6]]).any()
+    assert not camera.contains([[-0.6, 3.0], [3.0, 759.6], [-0.5, 3.0], [3.0, 759.5]]).any()
+    assert np.isnan(camera.project([[0.0, 0.0, 1e-9]])).all()
 
 
 @pytest.mark.parametrize("lens", [None, Lens("plumb_bob", (-0.2, 0.03)), Lens("fisheye", (0.02,))], ids=str)

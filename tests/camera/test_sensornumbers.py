@@ -305,9 +305,9 @@ def test_the_limiting_magnitude_solves_the_quadratic_equation_of_its_ratio(frame
 
 def test_no_star_is_seen_once_well_or_converter_is_full() -> None:
     """The sky adds to 120 e: full at 3880 e, which is 2910 DN; a converter of 11 bits is full at 1837 DN."""
-    for sky_dn, is_seen in ((2909.0, True), (2911.0, False)):
+    for sky_dn, is_seen in ((2909.0, True), (2910.0, False), (2911.0, False)):
         assert np.isfinite(limiting_mag(SENSOR, 3.0, 30.0, sky_dn=sky_dn)) == is_seen
-    for sky_dn, is_seen in ((1836.5, True), (1837.5, False)):
+    for sky_dn, is_seen in ((1836.5, True), (1837.0, False), (1837.5, False)):
         assert np.isfinite(limiting_mag(replace(SENSOR, bit_depth=11), 3.0, 30.0, sky_dn=sky_dn)) == is_seen
 
 

@@ -168,3 +168,25 @@ def test_the_curvature_bounds_the_second_derivatives() -> None:
         bent = (value(u + step) + value(u - step) - 2 * value(u)) / step**2
         expected = np.max(2 * np.abs(slope) + 4 * u * np.abs(bent)) / largest_q
         assert _curvature(coefficients, largest_q, bend) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("given", [Vignetting("cos4"), Vignetting("polynomial", -0.3, 0.05, -0.02)])
+@pytest.mark.parametrize("focal_px", [260.0, 500.0])
+def test_a_polynomial_has_as_few_terms_as_five_millionths_allow(given: Vignetting, focal_px: float) -> None:
+    camera = Camera(400, 300, focal_px, focal_px, 190.0, 160.0)
+    fit = given.fit(camera)
+    x, y = np.linspace(-0.5, 399.5, 65), np.linspace(-0.5, 299.5, 65)
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    u = (camera.normalized(xy) ** 2).sum(axis=-1) / fit.largest_q
+    w = (1 + fit.bend) * u / (1 + fit.bend * u)
+    both = np.column_stack([given.of_stars(camera, xy), given.of_sky(camera, xy)])
+
+    def error(terms: int) -> float:
+        powers = np.vander(w, terms, increasing=True)
+        return float(np.max(np.abs(powers @ np.linalg.lstsq(powers, both, rcond=None)[0] - both) / both))
+
+    terms = len(fit.star)
+    assert 3 <= terms <= 8
+    assert terms == 3 or error(terms - 1) > 5e-6
+    assert terms == 8 or error(terms) <= 5e-6
+    assert terms in range(3, 8) or focal_px == 260.0

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.camera.model import Mount
-from glstar.camera.mounts import MOUNTS, mount_label
+from glstar.camera.mounts import MOUNTS, mount_by_name, mount_label
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
@@ -127,3 +127,30 @@ def test_the_warning_of_frames_of_the_ground_names_the_mount(tmp_path: Path) -> 
     noted = CliRunner().invoke(app, words).stderr
 
     assert "camera points below the horizon (down mount): --mount or [mount] says" in noted
+
+
+@pytest.mark.parametrize(("side", "yaw_deg"), [("forward", 0.0), ("right", 90.0), ("left", -90.0), ("back", 180.0)])
+@pytest.mark.parametrize(("sense", "sign"), [("up", 1), ("down", -1)])
+def test_a_direction_with_an_elevation_is_a_mount(side: str, yaw_deg: float, sense: str, sign: int) -> None:
+    named = mount_by_name(f"{side}-{sense}-89.5")
+    assert (named.yaw_deg, named.pitch_deg, named.roll_deg) == (yaw_deg, sign * 89.5, 0)
+    assert (named.points, named.image) == (f"{side}, 89.5 deg {sense}", "")
+    mount = Mount(0.0, radians(sign * 12.5), radians(yaw_deg))
+    assert mount_label(mount) == f"{side}-{sense}-12.5 mount"
+    # A millionth of a degree is the same mount, and two are not.
+    for off_deg, label in ((0.9e-6, f"{side}-{sense}-12.5 mount"), (1.2e-6, "mount of yaw")):
+        turned = Mount(radians(off_deg), radians(sign * 12.5), radians(yaw_deg))
+        assert mount_label(turned).startswith(label)
+
+
+def test_the_label_of_a_literal_mount_has_its_angles() -> None:
+    assert mount_label(Mount(0.0, 0.0, 0.0)) == "nose mount"
+    assert mount_label(Mount(0.1, 0.2, -0.3, "literal")) == "mount of yaw -17.19, pitch 11.46, roll 5.73 deg"
+    with pytest.raises(ConfigError) as caught:
+        mount_by_name("zenit")
+    assert str(caught.value) == (
+        f"'zenit' is no mount (did you mean zenith?); mounts are {', '.join(MOUNTS)}, and forward, right, left or back"
+        " with -up- or -down- and an angle of 0 to 90 deg"
+    )
+    with pytest.raises(ConfigError, match=r"^'q' is no mount; mounts are zenith"):
+        mount_by_name("q")

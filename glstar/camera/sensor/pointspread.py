@@ -247,7 +247,7 @@ def _hermite(ratio: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return nodes and weights that replace a normal distribution along the major axis; one node for a circle."""
     if ratio == 1:
         return (0.0,), (1.0,)
-    count = next((count for smallest, count in _HERMITE_NODES if ratio >= smallest - 1e-12), _HERMITE_NODES[-1][1])
+    count = next(count for smallest, count in _HERMITE_NODES if ratio >= smallest - 1e-12)
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
     return tuple(nodes.tolist()), tuple((weights / weights.sum()).tolist())
 
