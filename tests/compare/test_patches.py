@@ -198,8 +198,8 @@ def test_a_strip_has_the_profile_and_the_bend_of_its_trail() -> None:
         pytest.approx(832, rel=0.03),
     )
     # Fewer than four values inside are too few, and a strip beyond the image is at its edge.
-    assert _Strip.around(image, CENTRE, ALONG, ACROSS, (-2.6, 2.6), SIGMA_PX) is None
-    assert _Strip.around(image, CENTRE, ALONG, ACROSS, (-3.0, 3.4), SIGMA_PX) is not None
+    assert _Strip.around(image, CENTRE, ALONG, ACROSS, (-3.0, 3.4), SIGMA_PX) is None
+    assert _Strip.around(image, CENTRE, ALONG, ACROSS, (-3.0, 3.5), SIGMA_PX) is not None
     for part, at_edge in ((np.s_[:85, :], False), (np.s_[:80, :], True), (np.s_[:, :93], False), (np.s_[:, :87], True)):
         cut = _Strip.around(sky(image.above_dn[part].copy()), CENTRE, ALONG, ACROSS, (-23.5, 27.2), SIGMA_PX)
         assert cut.at_edge == at_edge
