@@ -272,3 +272,61 @@ def test_patches_are_bright_and_of_five_pixels(monkeypatch: pytest.MonkeyPatch) 
     shapes = none.ends_px.shape, none.middle_px.shape, none.centroid_px.shape, none.length_px.shape
     assert (len(none), shapes) == (0, ((0, 2, 2), (0, 2), (0, 2), (0,)))
     assert isinstance(none, DetectedTrails)
+
+
+def level_image(first_px: float, last_px: float) -> np.ndarray:
+    """Return a straight trail along row 20, 2000 DN for each px of length."""
+    column = np.arange(120)[:, np.newaxis]
+    s = np.linspace(first_px, last_px, 1600)
+    along = np.exp(-((column - s) ** 2) / (2 * SIGMA_PX**2)).mean(axis=1)
+    across = np.exp(-((np.arange(40) - 20.0) ** 2) / (2 * SIGMA_PX**2))
+    return 2000 * (last_px - first_px) / (2 * np.pi * SIGMA_PX**2) * np.outer(across, along)
+
+
+@pytest.mark.parametrize(
+    ("centre_px", "part", "at_edge"),
+    [
+        *[(49.4, np.s_[:, :], False), (31.1, np.s_[:, :], False), (30.9, np.s_[:, :], True)],
+        *[(50.0, np.s_[:, :82], False), (50.0, np.s_[:, :81], True), (50.0, np.s_[:21], False)],
+    ],
+)
+def test_a_strip_ends_eight_sigma_beyond_its_patch(centre_px: float, part: tuple, at_edge: bool) -> None:
+    # From -31 to 31 px about the centre: 19.8 px and eight times 1.4 px.
+    image = sky(level_image(centre_px - 21, centre_px + 21)[part].copy())
+    strip = _Strip.around(
+        image, np.array([centre_px, 20.0]), np.array([1.0, 0]), np.array([0, 1.0]), (-19.8, 19.8), SIGMA_PX
+    )
+    assert strip.along_px[[0, -1]].tolist() == [-31, 31]
+    assert strip.at_edge == at_edge
+
+
+@pytest.mark.parametrize(("last_px", "is_bent"), [(7.5, False), (8.5, True)])
+def test_a_strip_of_more_than_twelve_values_may_be_bent(last_px: float, is_bent: bool) -> None:
+    # Inside are the values from -5 px on: twelve up to 6 px.
+    image = sky(bent_image(-25.0, 28.0, 53_000.0))
+    strip = _Strip.around(image, CENTRE, ALONG, ACROSS, (-6.6, last_px), SIGMA_PX)
+    assert (strip.bend[0] != 0) == is_bent
+    assert strip.bend[1:] == pytest.approx(BEND[1:], abs=0.1)
+
+
+@pytest.mark.parametrize(("x", "y", "row", "column"), [(79.6, 30.0, 30, 79), (40.0, 59.7, 59, 40), (-0.7, 30.0, 30, 0)])
+def test_the_noise_of_a_strip_is_that_at_its_centre_on_the_image(x: float, y: float, row: int, column: int) -> None:
+    image = sky(np.full((60, 80), 50.0))
+    image.noise_dn[:] = 1 + np.arange(80) + 100 * np.arange(60)[:, np.newaxis]
+    strip = _Strip.around(image, np.array([x, y]), np.array([0.6, 0.8]), np.array([-0.8, 0.6]), (-20.0, 20.0), SIGMA_PX)
+    window = np.exp(-(np.arange(-5, 6) ** 2) / (2 * (1.5 * SIGMA_PX) ** 2))
+    assert strip.noise_dn == pytest.approx((1 + column + 100 * row) * np.sqrt((window**2).sum()))
+
+
+def test_significance_is_smoothed_in_units_of_the_noise_at_each_pixel() -> None:
+    rng = np.random.default_rng(2)
+    noise = np.where(np.arange(90) < 45, 2.0, 8.0) * np.ones((75, 1))
+    white = rng.normal(0, 1, (75, 90))
+    image = SubtractedImage((white * noise).astype(np.float32), noise.astype(np.float32), np.ones((75, 90), bool))
+    same = SubtractedImage(white.astype(np.float32), np.ones((75, 90), np.float32), image.usable)
+    np.testing.assert_allclose(image.significance(1.5), same.significance(1.5), rtol=0, atol=1e-4)
+    found = image.significance(1.5)
+    # The median of absolute values of a normal distribution is 0.6745, here over every third row and column.
+    assert np.median(np.abs(found[::3, ::3])) == pytest.approx(0.6745, rel=1e-5)
+    # Of every eighth pixel, half are on either side.
+    assert image.usual_noise_dn == 5.0
