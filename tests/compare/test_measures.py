@@ -245,3 +245,16 @@ def test_a_comparison_without_pairs_names_the_most_frequent_reason() -> None:
     with pytest.raises(ImagesError, match=r"2 saturated, 1 broken; b: saturated for a reason"):
         collected.result(None, "", Path("images"))
     assert _nothing_paired([]) == "no image"
+
+
+def test_two_pairs_of_a_cell_have_a_standard_error_and_one_has_none() -> None:
+    pairs = [
+        replace(ANY_PAIR, x_px=x, y_px=0.5 * x, shift_x_px=u, shift_y_px=v, signal_to_noise=10.0)
+        for x, u, v in ((0.0, 1.0, 0.0), (2.0, 3.0, 1.0), (900.0, 5.0, 5.0))
+    ]
+    grid = shift_grid(pairs)
+    assert grid.pairs.tolist() == [2, 1]
+    np.testing.assert_allclose(grid.shift_px, [[2.0, 0.5], [5.0, 5.0]], rtol=0, atol=1e-12)
+    # The mean of both axes of squares about the mean, (1 + 1/4) / 2 for each, over 1 and over 2.
+    assert grid.std_px[0] == pytest.approx(np.sqrt(2 * 0.625 / 1 / 2))
+    assert np.isnan(grid.std_px[1])

@@ -1,5 +1,6 @@
 """Limits of the fit of a trail: its search window, its prior, and when a trail counts as found."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -10,7 +11,7 @@ from scipy.optimize import least_squares
 
 from glstar.compare import pairs
 from glstar.compare.detection import SubtractedImage
-from glstar.compare.pairs import Pairing, _first_detections, measure
+from glstar.compare.pairs import Pairing, _first_detections, _spread_px, measure, pair_trails
 from glstar.compare.prediction import Stamp, moved_path, stamp_of
 from glstar.compare.trailfit import _brightest_offset, find_trail
 from tests.compare.test_pathshapes import trails
@@ -175,3 +176,53 @@ def test_simulated_trails_are_cut_off_where_a_pixel_saturates() -> None:
     above = trails([PATH], signal_dn=image, pixels_dn=image, headroom_dn=1.01 * float(image.max()))
     [pair] = measure("a.png", real_image(image), Pairing(above, (found_with([0, 0, 0, 0]),), 0, np.zeros(3))).pairs
     assert not pair.saturated
+
+
+@pytest.mark.parametrize("side", [1, 2])
+def test_the_expected_signal_is_in_units_of_the_noise_of_a_matched_sum(side: int, monkeypatch) -> None:
+    """A star whose smoothed flux is f has the significance f 2 sqrt(pi) sigma / noise, as a mean over its bin."""
+    shape = (300 * side, 400 * side)
+    rows, columns = np.indices(shape)
+    signal = 90 * np.exp(-((columns - 160) ** 2 + (rows - 120) ** 2) / (2 * SIGMA_PX**2))
+    noise = np.where(columns < 200, 3.0, 6.0).astype(np.float32)
+    given = []
+
+    class Correlation:
+        def __init__(self, significance, most_px) -> None:
+            given.append((significance.shape, most_px))
+
+        def to(self, density):
+            given.append(density)
+            return "likeness"
+
+        def best(self, likeness):
+            assert likeness == "likeness"
+            return np.array([2.0, -3.0])
+
+    monkeypatch.setattr(pairs, "CrossCorrelation", Correlation)
+    monkeypatch.setattr(pairs, "find_trail", lambda *_args, expected_px, **_: expected_px.tolist())
+    sky = SubtractedImage(np.zeros(shape, np.float32), noise, np.ones(shape, bool))
+    simulated = trails([PATH], signal_dn=signal.astype(np.float32), sigma_px=SIGMA_PX, jacobian=np.zeros((1, 4, 8)))
+    assert _first_detections(sky, simulated, 30.0) == [[2.0 * side, -3.0 * side]]
+    (binned, most_px), density = given
+    assert (binned, density.shape, most_px) == ((300, 400), (300, 400), 30.0 / side)
+    # Smoothed by its own width, a Gaussian of amplitude 90 has half of it.
+    smooth = (
+        45 * np.exp(-((columns - 160) ** 2 + (rows - 120) ** 2) / (4 * SIGMA_PX**2)) * 2 * np.sqrt(np.pi) * SIGMA_PX / 3
+    )
+    expected = smooth.reshape(300, side, 400, side).mean(axis=(1, 3))
+    near = np.s_[110 // side : 130 // side, 150 // side : 170 // side]
+    np.testing.assert_allclose(density[near], expected[near], rtol=0, atol=0.01 * expected.max())
+
+
+def test_a_trail_counts_by_its_worse_direction() -> None:
+    covariance = np.zeros((4, 4))
+    covariance[:2, :2] = [[0.05, 0.03], [0.03, 0.05]]
+    # Variances of 0.08 and 0.02 along the diagonals, and 0.02 px of errors of the interpolation.
+    assert _spread_px(replace(found_with([0, 0, 0, 0]), covariance=covariance)) == pytest.approx(np.sqrt(0.08) + 0.02)
+
+
+def test_without_trails_there_is_no_motion() -> None:
+    nothing = trails([PATH]).only(np.zeros(0, int))
+    found = pair_trails(real_image(np.zeros((100, 120), np.float32)), nothing, search_px=9.0)
+    assert (found.found, found.astray, found.motion.tolist(), found.found_indices) == ((), 0, [0, 0, 0], [])

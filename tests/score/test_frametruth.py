@@ -87,6 +87,9 @@ def test_a_line_of_truth_is_read_with_every_field(tmp_path: Path) -> None:
     assert (second.total_s, second.camera_utc_mid_s, second.run, second.settings) == (0.25, mid_s - 1.5, ("", 0), {})
     # The file itself is the truth, too.
     assert [one.frame for one in read_frame_truths(tmp_path / "truth.jsonl", least_snr=10.0)] == [8, 8]
+    # So it is by any name.
+    (tmp_path / "truth.jsonl").rename(tmp_path / "copy.jsonl")
+    assert [one.frame for one in read_frame_truths(tmp_path / "copy.jsonl", least_snr=10.0)] == [8, 8]
 
 
 def test_without_a_truth_there_is_one_line(tmp_path: Path) -> None:

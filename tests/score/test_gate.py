@@ -1,6 +1,7 @@
 """Limits of a score: what passes, what fails and by how much."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from glstar.render.truth.frame import KEYS
 from glstar.rotation import about_x, about_y, about_z, quaternion_from_matrix
 from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
 from glstar.score.metrics import METRICS
-from glstar.score.scoring import Score, score
+from glstar.score.scoring import Orbit, Score, score
 from glstar.system.resources import manual_pages
 
 ARCSEC, DEG = np.pi / 180 / 3600, np.pi / 180
@@ -301,3 +302,33 @@ def test_a_verdict_without_a_value_fails() -> None:
     assert not verdict.passed
     assert verdict.text == "FAILED  recall: no value, at most 2; none has it"
     assert (verdict.json["value"], verdict.json["excess"], verdict.json["reason"]) == (None, None, "none has it")
+
+
+def test_a_limit_of_orbits_is_of_their_spread_and_one_without_frames_of_none(found: Score, tmp_path: Path) -> None:
+    orbit = Orbit(frames=5, mean_km=1.0, weighted_mean_km=0.5, circle_km=0.25, radius_km=7.0)
+    runs = tuple(replace(found.runs[0], orbits=(orbit, replace(orbit, mean_km=3.0))) for _ in range(2))
+    limit = 'metric = "orbit_mean_km"\nstatistic = "rms"\nat_most = 2'
+
+    def verdict(score_: Score, text: str) -> Verdict:
+        (one,) = judged(read_gate(gate(tmp_path, text)), score_)
+        return one
+
+    one = verdict(replace(found, runs=runs), limit)
+    assert (one.value, one.count, one.frames, one.lacks) == (pytest.approx(np.sqrt(5)), 10, 10, "")
+    assert one.json == {
+        "passed": False,
+        "metric": "orbit_mean_km",
+        "statistic": "rms",
+        "at_most": 2.0,
+        "value": one.value,
+        "excess": one.value - 2,
+        "by": None,
+        "group": None,
+        "count": 10,
+        "frames": 10,
+    }
+    none = verdict(found, limit)
+    assert (none.count, none.frames, none.lacks) == (0, 10, "none of 10 frames has it")
+    for by in ('by = "rate"\ngroup = "9000 to 9001"', 'by = "colour"\ngroup = "red"'):
+        lost = verdict(found, f'metric = "solved"\n{by}\nat_least = 1')
+        assert (lost.count, lost.frames, lost.group, np.isnan(lost.value)) == (0, 0, by.split('"')[-2], True)

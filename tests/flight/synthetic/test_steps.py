@@ -9,7 +9,7 @@ import pytest
 from glstar.errors import ConfigError
 from glstar.flight.spline import RotationSpline
 from glstar.flight.synthetic.gusts import AttitudeResponse, DrydenGusts, LinearSystem
-from glstar.flight.synthetic.paths import Wind, _Autopilot, _Leg, through_waypoints
+from glstar.flight.synthetic.paths import LocalMap, Wind, _Autopilot, _Leg, straight, through_waypoints
 from glstar.flight.synthetic.syntheticflight import SyntheticFlight
 from glstar.rotation import quaternion_from_euler, quaternion_from_turn, turn_between
 from glstar.sky.place.site import Site
@@ -240,3 +240,31 @@ def test_a_spline_is_exact_for_a_turn_that_changes_its_rate_steadily() -> None:
     for k in (4, 8, 9):
         mean = turn_between(attitude(t_s[k]), attitude(t_s[k + 1])) / (t_s[k + 1] - t_s[k])
         np.testing.assert_allclose(curve.coefficients[k], [mean, np.zeros(3), np.zeros(3)], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("latitude_deg", "is_far"), [(89.896, True), (89.904, False)])
+def test_a_path_ends_a_tenth_of_a_degree_before_a_pole(sign: int, latitude_deg: float, is_far: bool) -> None:
+    local = LocalMap(Site(radians(sign * 89.8), 1.0))
+    # The radius of curvature at a pole is 6399.6 km.
+    away_m = sign * radians(latitude_deg - 89.8) * 6_399_600.0
+    t_s = np.array([0.0, abs(away_m) / 250.0])
+    course_rad = 0.0 if sign > 0 else pi
+    if is_far:
+        latitude_rad, longitude_rad = local.place(np.array([0.0, away_m]), np.array([0.0, 0.0]))
+        assert latitude_rad[1] == pytest.approx(radians(sign * latitude_deg), abs=1e-6)
+        assert longitude_rad.tolist() == [1.0, 1.0]
+        path = straight(t_s, local, course_rad=course_rad, airspeed_m_per_s=250.0, wind=Wind())
+        np.testing.assert_allclose(path.north_m, [0.0, away_m], rtol=1e-4)
+        return
+    with pytest.raises(ConfigError, match="the flight crosses a pole, where its local map ends; fly farther from it"):
+        local.place(np.array([0.0, away_m]), np.array([0.0, 0.0]))
+    with pytest.raises(ConfigError, match="the flight crosses a pole, where its local map ends; fly farther from it"):
+        straight(t_s, local, course_rad=course_rad, airspeed_m_per_s=250.0, wind=Wind())
+
+
+def test_a_long_leg_is_flown_to_its_end() -> None:
+    # It takes 139 s, longer than the slack of two minutes.
+    path = through_waypoints(0.5, [(0.0, 0.0, 0.0), (2500.0, 0.0, 0.0)], airspeed_m_per_s=18.0, wind=Wind())
+    assert path.north_m[-2] < 2500 <= path.north_m[-1]
+    np.testing.assert_allclose(path.north_m, 18 * path.t_s, rtol=1e-9)
