@@ -12,6 +12,9 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import ElectronModel, Sensor, limiting_mag, noise_equivalent_area_px2
 from glstar.camera.vignetting import Vignetting
+from glstar.render.motion.starpaths import SampledPaths
+from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.scene.transmission import Transmission
 from glstar.render.truth import conditions as conditions_module
@@ -236,3 +239,81 @@ def test_the_limit_is_fainter_by_what_the_air_and_the_cloud_on_the_axis_take(
     assert found.cloud_transmission == (0.55 if has_cloud else None)
     clear = SimpleNamespace(**vars(scene) | {"extinction_mag": lambda _sine: None})
     assert limiting_magnitude(clear).at_rest_mag == pytest.approx(rest - (0 if is_ground else lost - 0.375), abs=1e-9)
+
+
+STARTS_PX = np.array([(30.0, 20.0), (-4.0, 40.0), (64.3, 25.0)])
+
+
+def straight(sensor: Sensor = SENSOR) -> Scene:
+    """Return three stars that move by 9 px to the right in two segments: one enters the image, one leaves it."""
+    scene = moving(sensor, n=1)
+    times = np.array([0.0, 0.15, 0.3, 0.65, 1.0])
+    xy = STARTS_PX + times[:, np.newaxis, np.newaxis] * [9.0, 2.0]
+    rays = LENS.unit_vectors(xy)
+    rays /= rays[..., 2:]
+    pointing = SimpleNamespace(
+        to_camera=lambda _eq: rays, C_camera_eq=np.tile(np.eye(3), (5, 1, 1)),
+        rotation_rad=np.zeros(4),
+    )  # fmt: skip
+    stars = replace(scene.stars, direction_eq=LENS.unit_vectors(xy[2]), star_id=scene.stars.star_id[:3],
+                    vmag=scene.stars.vmag[:3], name=("",) * 3)  # fmt: skip
+    drawn = replace(scene.draw_list[:3], truncation_radius_px=np.array([5.0, 2.0, 1.5]))
+    return replace(scene, stars=stars, draw_list=drawn, trails=AnalyticSegments(pointing, np.array([0.3, 0.7])))
+
+
+def part_between(low: float, high: float) -> tuple[float, float]:
+    """Return the length and the middle of a part of the exposure."""
+    return high - low, (high + low) / 2
+
+
+def test_trails_across_the_border_are_cut_there() -> None:
+    scene = straight()
+    pixels = np.zeros((50, 70), np.uint16)
+    pixels[21, 36], pixels[42, 3], pixels[25, 2] = (SENSOR.saturation_dn,) * 3
+    found = TrailStatistics(scene, pixels)
+    # The second enters after 3.5 px, its light 2 px before; the third leaves after 5.2 px, its light 1.5 px later.
+    np.testing.assert_allclose(found.on_image, [1.0, 1 - 3.5 / 9, 5.2 / 9], rtol=0, atol=1e-3)
+    lit = [part_between(0, 1), part_between(1.5 / 9, 1), part_between(0, 6.7 / 9)]
+    np.testing.assert_allclose(found.touching, [length for length, _ in lit], rtol=0, atol=1e-3)
+    expected = STARTS_PX + np.array([middle for _, middle in lit])[:, np.newaxis] * [9.0, 2.0]
+    np.testing.assert_allclose(found.centroid, expected, rtol=0, atol=0.01)
+    np.testing.assert_allclose(found.sum_xy.T, expected * found.touching[:, np.newaxis], rtol=0, atol=0.02)
+    assert found.saturated.tolist() == [True, True, False]
+    nodes = found.chosen_nodes_px(np.array([2, 0]))
+    assert nodes.shape == (2, 5, 2)
+    times = np.array([0.0, 0.15, 0.3, 0.65, 1.0])
+    np.testing.assert_allclose(nodes[:, :, 1], [30 + 9 * times, 20 + 2 * times], rtol=1e-9)
+
+
+@pytest.mark.parametrize("is_sampled", [False, True])
+def test_a_rolling_shutter_counts_each_trail_while_its_row_is_open(is_sampled: bool) -> None:
+    scene = straight()
+    trails = scene.trails
+    if is_sampled:
+        (paths,) = trails.star_paths(LENS, scene.stars.direction_eq, 1.0)
+        along = (np.arange(2000) + 0.5) / 2000
+        elapsed = np.where(along < 0.3, along / 0.3, (along - 0.3) / 0.7)
+        xy = paths.positions((along >= 0.3).astype(np.intp), elapsed)
+        sampled = SampledPaths(np.moveaxis(xy, -1, 0), np.full(2000, 1 / 2000))
+        trails = SimpleNamespace(star_paths=lambda *_: iter([sampled]))
+    exposure = Exposure(0.0, 0.4, readout_s=0.1)
+    opens, closes = np.array([0.0, 0.05, 0.1]), np.array([0.4, 0.45, 0.5])
+    recorded = RecordedTimes(opens, closes, closes - opens, np.zeros((3, 3, 2)), np.zeros(3))
+    rows = SimpleNamespace(times=lambda _directions: recorded)
+    rolling = replace(scene, exposure=exposure, trails=trails)
+    pixels = np.zeros((50, 70), np.uint16)
+    # The first is there after nine tenths, when its row has closed; the second after a tenth and a half.
+    pixels[22, 38], pixels[40, 0], pixels[26, 68] = (SENSOR.saturation_dn,) * 3
+    found = TrailStatistics(rolling, pixels, rows)
+    assert found.recorded is recorded
+    ends = np.column_stack([opens, closes]) / 0.5
+    inside = [(0.0, 1.0), (3.5 / 9, 1.0), (0.0, 5.2 / 9)]
+    lit = [(0.0, 1.0), (1.5 / 9, 1.0), (0.0, 6.7 / 9)]
+    for of, fraction in ((inside, found.on_image), (lit, found.touching)):
+        both = np.array([(max(a, c), min(b, d)) for (a, b), (c, d) in zip(of, ends, strict=True)])
+        np.testing.assert_allclose(fraction, np.diff(both)[:, 0] / np.diff(ends)[:, 0], rtol=0, atol=2e-3)
+    middles = both.mean(axis=1, keepdims=True)
+    expected = STARTS_PX + middles * [9.0, 2.0]
+    np.testing.assert_allclose(found.centroid, expected, rtol=0, atol=0.02)
+    assert found.saturated.tolist() == [False, False, True]
+    assert (found.chosen_nodes_px(np.array([0])) is None) == is_sampled
