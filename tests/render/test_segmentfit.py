@@ -238,7 +238,7 @@ def test_fitted_segments_have_the_least_squared_rotation_from_the_samples() -> N
     def squares(nodes: np.ndarray) -> float:
         drawn = np.einsum("nk,nkij->nij", fit.basis, nodes[2 * fit.segment[:, np.newaxis] + np.arange(3)])
         turn = segmentfit._small_turn(samples.pointing.C_camera_eq @ np.swapaxes(drawn, 1, 2))
-        # Each sample stands for the time from halfway to the one before to halfway to the next, and the ends for twice
+        # Each sample represents the time from halfway to the one before to halfway to the next, and the ends for twice
         # their half.
         return float((np.gradient(t)[:, np.newaxis] * turn**2).sum())
 
