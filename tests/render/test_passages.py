@@ -19,7 +19,7 @@ from glstar.render.scene import clouds
 from glstar.render.scene.attenuation import Attenuation, StarScintillation
 from glstar.render.scene.bodies import centre_source, disc_sources
 from glstar.render.scene.clouds import CloudCover, cloud_sheet, horizontal_axes, sheet_crossing
-from glstar.render.scene.occlusion import NEVER, rise_and_set
+from glstar.render.scene.occlusion import NEVER, divided, rise_and_set
 from glstar.render.scene.transmission import Sources, Transmission
 from glstar.sky.air.extinction import Scintillation
 from tests.render.test_scenegeometry import body
@@ -123,7 +123,8 @@ def test_the_sheet_has_the_keys_of_the_sensor_and_its_origin_at_a_whole_degree()
     # A second before the exposure: 0.4 rad and 0.9 rad are 22.9 deg and 51.6 deg.
     assert sheet.latitude_rad == pytest.approx(np.deg2rad(23), rel=1e-12)
     assert sheet.longitude_rad == pytest.approx(np.deg2rad(52), rel=1e-12)
-    assert cloud_sheet(Sensor(effects={"cloud.coverage": 0.4}), motion).wind_from_rad == pytest.approx(1.5 * np.pi)
+    plain = cloud_sheet(Sensor(effects={"cloud.coverage": 0.4}), motion)
+    assert (plain.wind_from_rad, plain.seed) == (pytest.approx(1.5 * np.pi), 0)
     assert cloud_sheet(Sensor(effects=effects | {"cloud.coverage": 0.0}), motion) is None
     assert cloud_sheet(Sensor(effects=effects | {"cloud.optical_depth": 0.0}), motion) is None
     assert cloud_sheet(Sensor(effects=effects), None) is None
@@ -221,6 +222,20 @@ def test_stars_rise_and_set_when_their_height_changes_its_sign(has_lens: bool) -
     np.testing.assert_allclose(found, dense_times(level, lens), rtol=0, atol=0.01 if has_lens else 1e-3)
     kinds = {tuple((row == NEVER).tolist()) for row in found}
     assert len(kinds) >= 3
+
+
+def test_divided_segments_end_where_the_last_one_does() -> None:
+    pointing = turning_zenith(np.arange(5) / 4)
+    velocity = np.arange(15.0).reshape(5, 3)
+    trails = AnalyticSegments(replace(pointing, velocity_eq=velocity, pole_eq=2 * velocity), np.array([0.5, 0.5]))
+    fine = divided(trails, np.array([1, 3]))
+    assert len(fine) == 4
+    for name in ("C_camera_eq", "zenith_eq", "velocity_eq", "pole_eq"):
+        values, expected = getattr(fine.pointing, name), getattr(trails.pointing, name)
+        assert len(values) == 9
+        np.testing.assert_array_equal(values[-1], expected[-1])
+    without = divided(replace(trails, pointing=replace(trails.pointing, pole_eq=None)), np.array([1, 3]))
+    assert without.pointing.pole_eq is None
 
 
 def test_a_disc_of_too_many_sources_is_refused_and_a_centre_is_one_source() -> None:
