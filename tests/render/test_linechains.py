@@ -22,10 +22,10 @@ DURATION = np.array([0.2, 0.5, 0.3])
 def test_a_chain_has_the_lines_between_positions_and_hides_those_with_an_end_that_is_not_visible() -> None:
     chain = LineChain.of(XY_PX.copy(), DURATION, None)
     assert len(chain) == 3
-    np.testing.assert_allclose(chain.step_px, [[[3, 2], [5, 0], [0, 0]], [[4, 5], [0, 0], [1, 0]]])
-    np.testing.assert_allclose(chain.middle_px[:, :, 0], [[2.5, 6.5, 9], [4, 6, 6.5]])
-    np.testing.assert_allclose(chain.middle_px[:, 0, 1], [11, 22.5])
-    np.testing.assert_allclose(chain.length_px, [[5, np.sqrt(29)], [5, 0], [1, 0]])
+    np.testing.assert_allclose(chain.step_px, [[[3, 2], [5, 0], [0, 0]], [[4, 5], [0, 0], [1, 0]]], rtol=1e-12)
+    np.testing.assert_allclose(chain.middle_px[:, :, 0], [[2.5, 6.5, 9], [4, 6, 6.5]], rtol=1e-12)
+    np.testing.assert_allclose(chain.middle_px[:, 0, 1], [11, 22.5], rtol=1e-12)
+    np.testing.assert_allclose(chain.length_px, [[5, np.sqrt(29)], [5, 0], [1, 0]], rtol=1e-12)
     assert chain.hidden.tolist() == [[False, False], [False, True], [False, True]]
     assert chain.is_whole.tolist() == [True, False]
     assert chain.weight.tolist() == [[0.2, 0.2], [0.5, 0.0], [0.3, 0.0]]

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.special import erf
 
 from glstar.camera.sensor.pointspread import PsfComponent
-from glstar.camera.sensor.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor, noise_equivalent_area_px2
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.transmission import Transmission
@@ -220,3 +220,37 @@ def test_what_cloud_transmits_is_the_mean_during_each_line_of_each_chain() -> No
     np.testing.assert_allclose(np.concatenate([first, second]), means, rtol=1e-12)
     assert (first.shape, second.shape) == ((2, 1), (2, 1))
     assert _transmissions(chains, None) == [None, None]
+
+
+def test_the_concentration_of_a_narrow_star_is_relative_to_what_a_pixel_records_of_it() -> None:
+    narrow = Sensor(psf_sigma_px=0.5, effects={"sensor.psf_wing_fraction": 0.3, "sensor.psf_wing_sigma_px": 5.0})
+    core = erf(0.5 / (np.sqrt(2) * 0.5)) ** 2
+    peak = 0.7 * core + 0.3 / (2 * np.pi * (25 + 1 / 12))
+    rest = noise_equivalent_area_px2(narrow) / (4 * np.pi * (0.25 + 1 / 12))
+    found = _area_over_core(narrow, np.ones(3), np.array([peak, peak / 2, 0.0]))
+    assert found[0] == pytest.approx(rest, rel=2e-3)
+    # A half of the peak is halfway between a star at rest and a long trail.
+    assert found[1] == pytest.approx((found[0] + found[2]) / 2, rel=2e-3)
+    assert found[2] < 0.9 * found[0]
+
+
+@pytest.mark.parametrize(("sensor", "x_px"), [(WINGS, 55.0), (PLAIN, 122.0)])
+def test_even_cloud_leaves_the_area_of_every_trail(sensor: Sensor, x_px: float) -> None:
+    scene = scene_of(sensor, 10.0, (x_px, 40.0))
+    even = Transmission(np.full((2, 1), 0.4))
+    clear, dimmed = (trail_peaks(scene, scene.stars.direction_eq, passage) for passage in (None, even))
+    assert dimmed.area_px2[0] == pytest.approx(clear.area_px2[0], rel=1e-6)
+    assert dimmed.peak_fraction_per_px2[0] == pytest.approx(0.4 * clear.peak_fraction_per_px2[0], rel=1e-6)
+
+
+def test_a_star_at_rest_is_searched_along_the_rows_of_the_image() -> None:
+    asked = []
+    stand_in = SimpleNamespace(
+        near=lambda _middle, _reach: [
+            SimpleNamespace(signal=lambda x, y: (asked.append(np.stack([x, y])[..., 0].T), np.ones_like(x))[1])
+        ]
+    )
+    _Search.along(LENS, 1.2, [stand_in], np.array([[60.0, 40.0]]), np.zeros((1, 2)))
+    side = 0.6 * 1.2
+    along = [(side * part, 0.0) for part in (0.0, -0.25, 0.25, -0.5, 0.5)]
+    np.testing.assert_allclose(asked[0], [*along, (0.0, -side), (0.0, side)], rtol=0, atol=1e-12)

@@ -238,7 +238,7 @@ def test_the_worst_probe_decides_and_short_and_long_paths_are_mixed() -> None:
         xy, np.tile(rates[:, np.newaxis, np.newaxis], (1, 2, 2, 1)), np.array([0.3, 0.3]), 1.3, 0.03
     )
     np.testing.assert_allclose(both, [max(each[:2]), max(each[2:])], rtol=1e-12)
-    # Two sigma decide which way it is drawn: 2.6 px.
+    # Two sigma decide how it is drawn: 2.6 px.
     assert np.isinf(excess_of_one(short_path(2.61, 0.6, 0.0), np.zeros((2, 2)), 0.3))
     assert np.isfinite(excess_of_one(short_path(2.59, 0.6, 0.0), np.zeros((2, 2)), 0.3))
 
@@ -344,7 +344,7 @@ def test_an_exposure_has_as_many_segments_as_its_error_needs_or_none(monkeypatch
     assert Counted.position_px == [0.02, 0.007]
     np.testing.assert_array_equal(segmentation._trial_parts(nodes_s, 1), [[100.0], [101.0]])
     np.testing.assert_allclose(
-        segmentation._trial_parts(nodes_s, 10), [100 + np.arange(7) / 7, 100 + np.arange(1, 8) / 7]
+        segmentation._trial_parts(nodes_s, 10), [100 + np.arange(7) / 7, 100 + np.arange(1, 8) / 7], rtol=1e-12
     )
 
 

@@ -72,6 +72,7 @@ def test_the_motion_is_sampled_evenly_from_node_to_node(interpolation: str) -> N
         ("slerp", 2, [0, 2, 4], 2, None),  # two parts of a segment do where the rate is constant
         ("slerp", 1, [0, 1, 4], 2, 8),  # one does not: twice as many
         ("slerp", 4, [0, 0.1, 4], 8, 8),  # none in the first segment: eight are the most for all
+        ("slerp", 5, [0, 0.1, 4], 8, 8),
         ("spline", 4, [0, 2, 4], 4, None),  # eight
         ("spline", 4, [0, 1, 4], 4, 8),  # four do for all, and others are added to the four
         ("spline", 3, [0, 1, 4], 6, 8),
@@ -238,7 +239,7 @@ def test_fitted_segments_have_the_least_squared_rotation_from_the_samples() -> N
     def squares(nodes: np.ndarray) -> float:
         drawn = np.einsum("nk,nkij->nij", fit.basis, nodes[2 * fit.segment[:, np.newaxis] + np.arange(3)])
         turn = segmentfit._small_turn(samples.pointing.C_camera_eq @ np.swapaxes(drawn, 1, 2))
-        # Each sample stands for the time from halfway to the one before to halfway to the next, and the ends for twice
+        # Each sample represents the time from halfway to the one before to halfway to the next, and the ends for twice
         # their half.
         return float((np.gradient(t)[:, np.newaxis] * turn**2).sum())
 

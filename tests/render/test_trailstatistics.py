@@ -96,6 +96,9 @@ def test_the_parts_of_a_path_through_the_border_add_up_to_its_time_on_the_image(
     time = np.linspace(0, 1, 41)
     outside = np.column_stack([-7 + 30 * time, 12 - 15 * time])
     within, on_image = _parts_inside(outside, np.array([4.0, 5.0]))
+    # Of a star that moves, parts of samples count.
+    assert ((on_image > 0) & (on_image < 1)).any()
+    np.testing.assert_array_equal(_parts_inside(outside, np.array([4.0, 5.0]), is_at_rest=False), [within, on_image])
     cell = np.gradient(time)
     np.testing.assert_allclose(cell @ on_image / cell.sum(), [7 / 30, 3 / 15], rtol=0, atol=0.5 / 41)
     np.testing.assert_allclose(cell @ within / cell.sum(), [11 / 30, 8 / 15], rtol=0, atol=0.5 / 41)

@@ -12,6 +12,9 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import ElectronModel, Sensor, limiting_mag, noise_equivalent_area_px2
 from glstar.camera.vignetting import Vignetting
+from glstar.render.motion.starpaths import SampledPaths
+from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.scene.transmission import Transmission
 from glstar.render.truth import conditions as conditions_module
@@ -20,6 +23,7 @@ from glstar.render.truth.conditions import LimitingMagnitude, ViewingConditions,
 from glstar.render.truth.frame import as_current_schema, camera_keys, frame_truth
 from glstar.render.truth.peaks import TrailPeaks
 from glstar.render.truth.statistics import TrailStatistics
+from glstar.sky.air.refraction import refraction_rad
 from tests.support.scenes import camera, stars_at
 
 LENS = camera(70, 50, 300.0)
@@ -29,7 +33,7 @@ VARIANCE = 1.6**2 + 1 / 12
 
 def moving(sensor: Sensor = SENSOR, n: int = 50) -> Scene:
     """Return a star on the image, one that crosses its left border, one beside the image and one far away."""
-    return stars_at([(30.0, 20.0), (1.5, 40.0), (-3.0, 25.0), (-60.0, 10.0)], [3.0, 2.0, 1.0, 0.0], sensor=sensor,
+    return stars_at([(30.0, 20.0), (1.5, 40.0), (-5.0, 25.0), (-60.0, 10.0)], [3.0, 2.0, 1.0, 0.0], sensor=sensor,
                     lens=LENS, n=n, turn=lambda u: (-0.03 * u, 0.01 * u))  # fmt: skip
 
 
@@ -81,10 +85,17 @@ def test_statistics_are_those_of_the_samples_of_sub_exposures() -> None:
         found.sum_xy.T, np.where(touches[..., np.newaxis], xy, 0.0).mean(axis=0), rtol=0, atol=1e-9
     )
     assert np.isnan(found.centroid[3]).all()
-    assert 0 < found.touching[2] < 1
+    assert 0.2 < found.touching[2] < 0.9
     assert not found.saturated.any()
     assert found.chosen_nodes_px(np.array([0])) is None
     assert found.recorded is None
+
+
+def test_the_nodes_of_pieces_of_paths_are_joined_without_their_common_ends() -> None:
+    found = TrailStatistics(moving(n=2))
+    nodes = np.random.default_rng(1).normal(size=(2, 9, 4))
+    found._nodes_px = [nodes[:, :5], nodes[:, 4:7], nodes[:, 6:]]
+    np.testing.assert_array_equal(found.chosen_nodes_px(np.array([3, 1])), nodes[:, :, [3, 1]])
 
 
 PEAKS = TrailPeaks(np.array([0.01, 0.03]), np.array([40.0, 25.0]))
@@ -236,3 +247,143 @@ def test_the_limit_is_fainter_by_what_the_air_and_the_cloud_on_the_axis_take(
     assert found.cloud_transmission == (0.55 if has_cloud else None)
     clear = SimpleNamespace(**vars(scene) | {"extinction_mag": lambda _sine: None})
     assert limiting_magnitude(clear).at_rest_mag == pytest.approx(rest - (0 if is_ground else lost - 0.375), abs=1e-9)
+
+
+STARTS_PX = np.array([(30.0, 20.0), (-4.0, 40.0), (64.3, 25.0)])
+
+
+def straight(sensor: Sensor = SENSOR) -> Scene:
+    """Return three stars that move by 9 px to the right in two segments: one enters the image, one leaves it."""
+    scene = moving(sensor, n=1)
+    times = np.array([0.0, 0.15, 0.3, 0.65, 1.0])
+    xy = STARTS_PX + times[:, np.newaxis, np.newaxis] * [9.0, 2.0]
+    rays = LENS.unit_vectors(xy)
+    rays /= rays[..., 2:]
+    pointing = SimpleNamespace(
+        to_camera=lambda _eq: rays, C_camera_eq=np.tile(np.eye(3), (5, 1, 1)),
+        rotation_rad=np.zeros(4),
+    )  # fmt: skip
+    stars = replace(scene.stars, direction_eq=LENS.unit_vectors(xy[2]), star_id=scene.stars.star_id[:3],
+                    vmag=scene.stars.vmag[:3], name=("",) * 3)  # fmt: skip
+    drawn = replace(scene.draw_list[:3], truncation_radius_px=np.array([5.0, 2.0, 1.5]))
+    return replace(scene, stars=stars, draw_list=drawn, trails=AnalyticSegments(pointing, np.array([0.3, 0.7])))
+
+
+def part_between(low: float, high: float) -> tuple[float, float]:
+    """Return the length and the middle of a part of the exposure."""
+    return high - low, (high + low) / 2
+
+
+def test_trails_across_the_border_are_cut_there() -> None:
+    scene = straight()
+    pixels = np.zeros((50, 70), np.uint16)
+    pixels[21, 36], pixels[42, 3], pixels[25, 2] = (SENSOR.saturation_dn,) * 3
+    found = TrailStatistics(scene, pixels)
+    # The second enters after 3.5 px, its light 2 px before; the third leaves after 5.2 px, its light 1.5 px later.
+    np.testing.assert_allclose(found.on_image, [1.0, 1 - 3.5 / 9, 5.2 / 9], rtol=0, atol=1e-3)
+    lit = [part_between(0, 1), part_between(1.5 / 9, 1), part_between(0, 6.7 / 9)]
+    np.testing.assert_allclose(found.touching, [length for length, _ in lit], rtol=0, atol=1e-3)
+    expected = STARTS_PX + np.array([middle for _, middle in lit])[:, np.newaxis] * [9.0, 2.0]
+    np.testing.assert_allclose(found.centroid, expected, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(found.sum_xy.T, expected * found.touching[:, np.newaxis], rtol=0, atol=1e-3)
+    assert found.saturated.tolist() == [True, True, False]
+    nodes = found.chosen_nodes_px(np.array([2, 0]))
+    assert nodes.shape == (2, 5, 2)
+    times = np.array([0.0, 0.15, 0.3, 0.65, 1.0])
+    np.testing.assert_allclose(nodes[:, :, 1], [30 + 9 * times, 20 + 2 * times], rtol=1e-9)
+
+
+@pytest.mark.parametrize("is_sampled", [False, True])
+def test_a_rolling_shutter_counts_each_trail_while_its_row_is_open(is_sampled: bool) -> None:
+    scene = straight()
+    trails = scene.trails
+    if is_sampled:
+        (paths,) = trails.star_paths(LENS, scene.stars.direction_eq, 1.0)
+        along = (np.arange(2000) + 0.5) / 2000
+        elapsed = np.where(along < 0.3, along / 0.3, (along - 0.3) / 0.7)
+        xy = paths.positions((along >= 0.3).astype(np.intp), elapsed)
+        sampled = SampledPaths(np.moveaxis(xy, -1, 0), np.full(2000, 1 / 2000))
+        trails = SimpleNamespace(star_paths=lambda *_: iter([sampled]))
+    exposure = Exposure(0.0, 0.4, readout_s=0.1)
+    opens, closes = np.array([0.0, 0.05, 0.1]), np.array([0.4, 0.45, 0.5])
+    recorded = RecordedTimes(opens, closes, closes - opens, np.zeros((3, 3, 2)), np.zeros(3))
+    rows = SimpleNamespace(times=lambda _directions: recorded)
+    rolling = replace(scene, exposure=exposure, trails=trails)
+    pixels = np.zeros((50, 70), np.uint16)
+    # The first is there after nine tenths, when its row has closed; the second after a tenth and a half.
+    pixels[22, 38], pixels[40, 0], pixels[26, 68] = (SENSOR.saturation_dn,) * 3
+    found = TrailStatistics(rolling, pixels, rows)
+    assert found.recorded is recorded
+    ends = np.column_stack([opens, closes]) / 0.5
+    inside = [(0.0, 1.0), (3.5 / 9, 1.0), (0.0, 5.2 / 9)]
+    lit = [(0.0, 1.0), (1.5 / 9, 1.0), (0.0, 6.7 / 9)]
+    for of, fraction in ((inside, found.on_image), (lit, found.touching)):
+        both = np.array([(max(a, c), min(b, d)) for (a, b), (c, d) in zip(of, ends, strict=True)])
+        np.testing.assert_allclose(fraction, np.diff(both)[:, 0] / np.diff(ends)[:, 0], rtol=0, atol=2e-3)
+    middles = both.mean(axis=1, keepdims=True)
+    expected = STARTS_PX + middles * [9.0, 2.0]
+    np.testing.assert_allclose(found.centroid, expected, rtol=0, atol=0.02)
+    assert found.saturated.tolist() == [False, False, True]
+    assert (found.chosen_nodes_px(np.array([0])) is None) == is_sampled
+
+
+def test_the_sun_and_the_moon_are_those_of_the_middle_of_the_minute_near_the_site(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+    sun_eq, moon_eq = np.array([0.0, 0.6, -0.8]), np.array([0.8, 0.0, 0.6])
+    sun = SimpleNamespace(direction_eq=sun_eq)
+    moon = SimpleNamespace(direction_eq=moon_eq, illuminated_fraction=0.3)
+
+    def observed(sky: object, utc_s: float, site: object, names: tuple[str, ...]) -> tuple[object, object]:
+        asked.append((utc_s, site.latitude_rad, site.longitude_rad, site.height_m, names))
+        return sun, moon
+
+    monkeypatch.setattr(conditions_module, "observed_bodies", observed)
+    axis, zenith = np.array([0.0, 0.28, 0.96]), np.array([0.0, 0.0, 1.0])
+    shutter = SimpleNamespace(
+        zenith_eq=np.stack([-zenith, zenith, -zenith]), boresight_eq=np.stack([-axis, axis, -axis]),
+        refraction_scale=0.8, profile=None,
+    )  # fmt: skip
+    scene = SimpleNamespace(
+        shutter=shutter, observing_sky="sky of this test", exposure=Exposure(12_345.0, 8.0), camera=LENS,
+        site=SimpleNamespace(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.62)),
+        above_horizon=lambda direction: direction[2] + 0.1, C_camera_body=Mount().C_camera_body,
+    )  # fmt: skip
+    found = conditions_module.viewing_conditions(scene)
+    ((utc_s, latitude_rad, longitude_rad, height_m, names),) = asked
+    # 12 349 s are in the minute from 12 300 s on; places are in tenths of a degree.
+    assert (utc_s, height_m, names) == (12_330.0, 0.0, ("Sun", "Moon"))
+    assert np.rad2deg([latitude_rad, longitude_rad]) == pytest.approx([-34.9, 138.6], abs=1e-9)
+    assert found.sun_altitude_rad == pytest.approx(np.arcsin(-0.8))
+    moon_rad = np.arcsin(0.6)
+    assert found.moon_altitude_rad == pytest.approx(moon_rad + refraction_rad(moon_rad, 0.8))
+    assert found.moon_illuminated_fraction == 0.3
+    assert found.moon_separation_rad == pytest.approx(np.arccos(axis @ moon_eq))
+    # The horizon lies 0.1 below the horizontal.
+    assert found.axis_altitude_rad == pytest.approx(np.arcsin(0.96) + np.arcsin(0.1))
+    assert found.sees_only_ground is False
+    assert found.mount == Mount()
+    # The image is 0.14 rad high above its middle.
+    for axis_rad, only_ground in ((-0.99 * LENS.field_radius_rad, False), (-1.01 * LENS.field_radius_rad, True)):
+        assert conditions_module._sees_only_ground(scene, axis_rad) == only_ground
+    shutter.profile = object()
+    for fraction in (0.0, 0.1):
+        monkeypatch.setattr(conditions_module, "sky_fraction", lambda _scene, fraction=fraction: fraction)
+        assert conditions_module._sees_only_ground(scene, 0.5) == (fraction == 0)
+
+
+def test_a_report_joins_the_light_the_limit_and_the_warnings_but_that_of_the_day(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conditions_module, "limiting_magnitude", lambda _scene: LimitingMagnitude(5.0, 4.0))
+    for sun, report in (
+        (-30.0, "night: Sun -30 deg, Moon -5 deg; limit V 5.0 at rest, 4.0 as a trail"),
+        (-2.0, "civil twilight: Sun -2 deg, Moon -5 deg; limit V 5.0 at rest, 4.0 as a trail; "
+               "bright twilight: the Sun is 2.0 deg below the horizon"),
+        (12.0, "day: Sun 12 deg, Moon -5 deg; limit V 5.0 at rest, 4.0 as a trail"),
+    ):  # fmt: skip
+        monkeypatch.setattr(
+            conditions_module, "viewing_conditions", lambda _scene, sun=sun: conditions(sun=sun, moon=-5.0)
+        )
+        assert conditions_module.conditions_report(None) == report
