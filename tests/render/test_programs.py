@@ -193,7 +193,7 @@ DEVICES = {11: b"EGL_EXT_device_drm EGL_NV_device_cuda", 12: b"EGL_MESA_device_s
 
 
 def extension_function(_egl: Any, name: str, _result: Any, *arguments: Any) -> Any:
-    """Stand in for the functions of EGL's extensions."""
+    """Return a function of EGL's extensions for these devices."""
 
     def devices(most: int, handles: Any, count: Any) -> None:
         count._obj.value = len(DEVICES)
