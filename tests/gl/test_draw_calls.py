@@ -88,6 +88,22 @@ def test_small_draw_calls_give_the_same_light(renderers: tuple[GLRenderer, GLRen
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * float(expected.max()))
 
 
+@pytest.mark.parametrize(("case", "sigma_px"), [("", 1.3), ("rolling", 1.3), ("", 0.6)])
+def test_segments_and_sub_exposures_have_the_same_light(
+    renderers: tuple[GLRenderer, GLRenderer], case: str, sigma_px: float
+) -> None:
+    images = []
+    for trail_kind in ("segments", "sprites"):
+        scene = scene_of(f"{case} {trail_kind}")
+        scene = replace(scene, sensor=replace(scene.sensor, psf_sigma_px=sigma_px))
+        images.append(renderers[0].render(scene, seed=0, light=True).light_dn.astype(float))
+    segments, sprites = images
+    assert segments.max() > 20
+    # Cloud is taken once for four sub-exposures, and profiles are cut where they fall below a part of a digital number.
+    assert segments.sum() == pytest.approx(sprites.sum(), rel=5e-3)
+    np.testing.assert_allclose(segments, sprites, rtol=0, atol=0.02 * segments.max())
+
+
 def bilinear(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return values between the centres of texels, whose first is at 0.5, and those of the border beyond."""
     rows, columns = values.shape
