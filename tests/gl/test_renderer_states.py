@@ -3,16 +3,18 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import moderngl
 import numpy as np
 import pytest
 
+from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.errors import RenderError
 from glstar.render.motion.pointing import Pointing
 from glstar.render.opengl import GLRenderer
 from glstar.render.opengl.targets import Targets
 from glstar.render.scene.scene import Scene
-from tests.support.scenes import camera, stars_at
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
 
 
 def test_a_renderer_refuses_what_it_cannot_draw(renderer: GLRenderer) -> None:
@@ -85,3 +87,36 @@ def test_noise_is_left_out_on_demand(renderer: GLRenderer) -> None:
         assert (np.unique(pixels[:, :10]).size > 1) != noiseless
         level = 50 + (400 + 0.2) * 0.5 * 0.47
         assert pixels[:, :10].mean() == pytest.approx(level, rel=0, abs=0.5 if noiseless else 3.0)
+
+
+def test_a_stacked_image_is_read_and_shown_as_a_whole(renderer: GLRenderer) -> None:
+    base = sky_over_adelaide(camera(64, 48, 60.0), sensor=Sensor(), vmag_limit=4.0)
+    scene = base.scene(Exposure(NIGHT_UTC_S + 1.0, 0.1, frames=3))
+    assert len(scene.shorts) == 3
+    with pytest.raises(RenderError, match="a stacked image has no flux of its own"):
+        renderer.expose(scene)
+    frame = renderer.render(scene, seed=4)
+    assert renderer.stacked is frame
+    assert renderer.read().frame() is frame
+    texture = renderer.texture()
+    assert texture.size == (64, 48)
+    np.testing.assert_array_equal(np.frombuffer(texture.read(), frame.pixels.dtype).reshape(48, 64), frame.pixels)
+    assert renderer.holds(texture)
+    single = renderer.render(scene.shorts[1], seed=4)
+    assert renderer.stacked is None
+    shown = renderer.texture()
+    assert shown is not texture
+    assert renderer.holds(shown)
+    np.testing.assert_array_equal(np.frombuffer(shown.read(), np.uint8).reshape(48, 64), single.pixels)
+    renderer.render(scene, seed=4)
+    renderer.close()
+    for use in (renderer.read, renderer.texture):
+        with pytest.raises(RenderError, match="nothing has been developed yet"):
+            use()
+
+
+def test_a_renderer_of_its_own_context_releases_it() -> None:
+    renderer = GLRenderer.headless()
+    assert not isinstance(renderer.context.mglo, moderngl.mgl.InvalidObject)
+    renderer.close()
+    assert isinstance(renderer.context.mglo, moderngl.mgl.InvalidObject)
