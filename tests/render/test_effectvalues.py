@@ -32,6 +32,7 @@ from glstar.render.effects.sky import (
     FINE_GRID,
     SMOOTH_GRID,
     beyond_lens,
+    has_natural_sky,
     interpolates_by_quads,
     node_positions,
     node_rays,
@@ -116,7 +117,7 @@ def test_electrons_become_digital_numbers_in_each_effect() -> None:
 def test_a_shorter_formula_serves_little_skewness() -> None:
     # The skewness is largest where the mean is twice the read variance: 2 / sqrt(27) / r, and little up to 0.3.
     limit_e = 2 / np.sqrt(27) / 0.3
-    for part, skewed in ((0.97, 1), (1.03, 0)):
+    for part, skewed in ((0.99, 1), (1.01, 0)):
         model = replace(MODEL, read_noise_before_gain_e=part * limit_e, read_noise_after_gain_e=0.0)
         assert options("shot_noise", scene_of(model)) == {"SHOT_SKEWED": skewed}
         read2 = (part * limit_e) ** 2
@@ -266,6 +267,8 @@ def test_vignetting_is_curved_within_a_fragment_of_short_lenses(bit_depth: int, 
 def test_a_map_of_the_sky_has_its_own_mean(tmp_path: Path) -> None:
     np.save(tmp_path / "sky.npy", np.array([[1.0, 3.0], [5.0, 7.0]], np.float32))
     np.testing.assert_allclose(relative_sky(str(tmp_path / "sky.npy")), [[0.25, 0.75], [1.25, 1.75]], rtol=1e-6)
+    np.save(tmp_path / "faint.npy", np.array([[0.0, 0.5], [0.25, 0.25]], np.float32))
+    assert relative_sky(str(tmp_path / "faint.npy")).tolist() == [[0.0, 2.0], [1.0, 1.0]]
     scene = scene_of(sensor__sky_map=str(tmp_path / "sky.npy"))
     effect = BY_NAME["sky_map"]
     values = effect.values(scene.sensor)
@@ -281,6 +284,7 @@ def test_a_map_of_the_sky_has_its_own_mean(tmp_path: Path) -> None:
     paper = scene_of(None, sensor__sky_map=str(tmp_path / "sky.npy"))
     assert "sky_level" not in [effect.name for effect in active_effects(paper.sensor)]
     assert uniform_sky_dn(paper) == 16.0
+    assert [has_natural_sky(Sensor(effects=e)) for e in ({}, {"sky.brightness": "natural"})] == [False, True]
     for content, limits in (([[-1.0, 2.0]], "from -1 to 2"), ([[0.0, 0.0]], "from 0 to 0")):
         path = tmp_path / f"{limits}.npy"
         np.save(path, np.array(content, np.float32))
