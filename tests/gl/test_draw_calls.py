@@ -11,15 +11,17 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor.sensor import Sensor
+from glstar.flight import AttitudeTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.opengl.drawnlens import PINHOLE
 from glstar.render.opengl.passes import piece, subexposure, trail
 from glstar.render.opengl.passes.enlarge import EnlargePass
 from glstar.render.opengl.textures import ReadoutClock, StarTarget
 from glstar.render.scene.scene import Scene
-from tests.render.test_pathfit import rough
+from glstar.render.simulator import Simulator
+from glstar.rotation import quaternion_from_euler
 from tests.support.clouds import CLOUD
-from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 # Numbers that divide neither the stars nor the segments; of pieces and sub-exposures a multiple of four.
 FEW = (
@@ -47,16 +49,22 @@ def renderers(context_of_renderers: moderngl.Context) -> Iterator[tuple[GLRender
             yield whole, few
 
 
+def shaken(simulator: Simulator) -> Simulator:
+    """Return an aircraft that turns by some degrees a second and shakes by a tenth of a degree."""
+    t = np.arange(0.0, 1.0, 1 / 200)
+    angles_deg = np.outer([8.0, -3.0, 5.0], t) + 0.1 * np.sin(2 * np.pi * np.outer([3.1, 7.7, 11.3], t))
+    angles_deg += 0.002 * np.random.default_rng(0).normal(size=(3, t.size))
+    track = AttitudeTrack.from_samples(NIGHT_UTC_S + t, quaternion_from_euler(*np.deg2rad(angles_deg)))
+    return replace(simulator, flight=replace(simulator.flight, attitude=track))
+
+
 def scene_of(case: str) -> Scene:
     """Return a scene of some hundred stars behind cloud, in the cells of a mosaic."""
     sensor = Sensor(psf_sigma_px=1.3, bit_depth=16, effects=EFFECTS)
     lens = camera(64, 48, 40.0)
     readout_s = 0.1 if "rolling" in case else 0.0
     if "pieces" in case:
-        simulator = replace(rough(200.0), camera=lens, sensor=sensor)
-        bright = simulator.stars.vmag < 3.5
-        stars = star_field(simulator.stars.direction_eq[bright], simulator.stars.vmag[bright])
-        simulator = replace(simulator, stars=stars)
+        simulator = shaken(sky_over_adelaide(lens, sensor=sensor, vmag_limit=3.5))
         return simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic", readout_s=readout_s))
     mount = Mount(pitch_rad=np.deg2rad(60.0))
     simulator = sky_over_adelaide(
@@ -78,6 +86,22 @@ def test_small_draw_calls_give_the_same_light(renderers: tuple[GLRenderer, GLRen
     assert expected is not None
     assert expected.max() > 20
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * float(expected.max()))
+
+
+@pytest.mark.parametrize(("case", "sigma_px"), [("", 1.3), ("rolling", 1.3), ("", 0.6)])
+def test_segments_and_sub_exposures_have_the_same_light(
+    renderers: tuple[GLRenderer, GLRenderer], case: str, sigma_px: float
+) -> None:
+    images = []
+    for trail_kind in ("segments", "sprites"):
+        scene = scene_of(f"{case} {trail_kind}")
+        scene = replace(scene, sensor=replace(scene.sensor, psf_sigma_px=sigma_px))
+        images.append(renderers[0].render(scene, seed=0, light=True).light_dn.astype(float))
+    segments, sprites = images
+    assert segments.max() > 20
+    # Cloud is taken once for four sub-exposures, and profiles are cut where they fall below a part of a digital number.
+    assert segments.sum() == pytest.approx(sprites.sum(), rel=5e-3)
+    np.testing.assert_allclose(segments, sprites, rtol=0, atol=0.02 * segments.max())
 
 
 def bilinear(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ def test_stars_of_a_scene_are_chosen_with_radius_transmission_and_column() -> No
 
 
 class _ByIdentity(dict):
-    """A dictionary whose keys are programs, which the stand-ins are not hashable for."""
+    """A dictionary whose keys are programs, by identity, because dictionaries have no hash."""
 
     def __contains__(self, key: object) -> bool:
         return super().__contains__(id(key))
@@ -205,21 +205,21 @@ def test_an_image_is_uploaded_again_only_if_it_is_another() -> None:
 def test_a_rolling_shutter_opens_pixel_by_pixel(readout: str, size: int) -> None:
     exposure = Exposure(100.0, 0.25, readout_s=0.05, readout=readout)
     clock = readout_clock(exposure, LENS, 8)
-    assert (clock.rows, clock.span) == (1, pytest.approx(1.2))
+    assert (clock.rows, clock.span) == (1, pytest.approx(1.2, rel=0, abs=1e-12))
     openings = clock.openings(8)
     # Fractions of the time from the first opening to the last closing; positions of pixel centres.
     at = openings.at(np.array([[0.0, 0.0], [63.0, 47.0], [10.0, 20.0]]))
     order = {"down": 20 / 47, "up": 27 / 47, "right": 10 / 63, "left": 53 / 63}[readout]
     first, last = (0.0, 1.0) if readout in ("down", "right") else (1.0, 0.0)
     np.testing.assert_allclose(at, np.array([first, last, order]) * 0.05 / 0.3, rtol=0, atol=1e-12)
-    assert openings.open_time == pytest.approx(0.25 / 0.3)
+    assert openings.open_time == pytest.approx(0.25 / 0.3, rel=1e-12)
     assert openings.per_px == pytest.approx(0.05 / 0.3 / (size - 1))
     # With the guard band, a pixel's centre has the coordinates of gl_FragCoord.
     a, b, c = clock.opening
-    assert a * (10 + 8.5) + b * (20 + 8.5) + c == pytest.approx(order * 0.05 / 0.3, abs=1e-12)
+    assert a * (10 + 8.5) + b * (20 + 8.5) + c == pytest.approx(order * 0.05 / 0.3, rel=0, abs=1e-12)
     program = fakegl.Program("open_time", "opening")
     clock.bind(program)
-    assert program == {"open_time": pytest.approx(0.25 / 0.3), "opening": clock.opening}
+    assert program == {"open_time": pytest.approx(0.25 / 0.3, rel=0, abs=1e-12), "opening": clock.opening}
 
 
 def test_a_global_shutter_has_no_clock() -> None:
@@ -389,7 +389,7 @@ def test_a_guard_band_is_a_multiple_of_eight_around_the_brightest_star() -> None
 
 
 def test_sprites_are_cut_down_to_what_a_driver_draws() -> None:
-    # 3.5 standard deviations on both sides, and the way of four sub-exposures.
+    # 3.5 standard deviations on both sides, and the path during four sub-exposures.
     assert sprite_px(2.0, 0.5) == pytest.approx(2 * 3.5 * 2.0 + 4 * SAMPLE_SPACING_SIGMA * 0.5, rel=1e-12)
     whole = Sensor(psf_sigma_px=3.0)
     scene = stars_at([[20.0, 20.0], [50.0, 30.0]], [4.0, 2.0], sensor=whole, lens=camera())

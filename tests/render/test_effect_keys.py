@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage, light_keys, scaled_keys
 
 KEYS = {effect.dotted(key): key for effect in EFFECTS for key in effect.keys}
@@ -168,3 +169,15 @@ def test_a_key_and_an_effect_are_plain_by_default() -> None:
     assert (effect.textures, effect.truth(values, None), effect.is_active(values)) == ((), {}, True)
     assert (effect.noise_model, effect.reads, effect.options(values, None)) == (None, (), {})
     assert (effect.only_at, effect.transfer, effect.dotted(key)) == (None, None, "own.gain")
+
+
+def test_values_come_from_the_sensor_only_in_its_section() -> None:
+    keys = (Key("psf_sigma_px", 9.0, "a number"), Key("full_well_e", 8.0, "a number"), Key("other", 7.0, "a number"))
+    sensor = Sensor(
+        psf_sigma_px=1.5, bit_depth=12, electrons=ElectronModel(full_well_e=555.0), effects={"own.other": 6.0}
+    )
+    own = Effect("own", "own", keys[:2], Stage.SKY, "", reads=keys[2:])
+    assert own.values(sensor) == {"psf_sigma_px": 9.0, "full_well_e": 8.0, "other": 6.0}
+    of_sensor = Effect("own", "sensor", keys, Stage.SKY, "")
+    assert of_sensor.values(sensor) == {"psf_sigma_px": 1.5, "full_well_e": 555.0, "other": 7.0}
+    assert of_sensor.values(Sensor())["full_well_e"] == 8.0

@@ -42,7 +42,13 @@ def scene_of(
     sensor = Sensor(bit_depth=bit_depth, reference_peak_dn=2e3, effects=effects)
     mount = Mount(0.3, np.deg2rad(pitch_deg), 0.2)
     base = sky_over_adelaide(
-        lens, sensor=sensor, mount=mount, yaw_rad=1.1, vmag_limit=2.0, yaw_rate_rad_per_s=turn_rad_per_s
+        lens,
+        sensor=sensor,
+        mount=mount,
+        yaw_rad=1.1,
+        vmag_limit=2.0,
+        yaw_rate_rad_per_s=turn_rad_per_s,
+        roll_rate_rad_per_s=0.1 * turn_rad_per_s,
     )
     base = replace(base, extinction=air, flight=base.flight.shifted(utc_s - NIGHT_UTC_S))
     return base.scene(Exposure(utc_s + 2.0, 0.4))

@@ -19,7 +19,8 @@ from glstar.render.opengl import program as programs
 from glstar.render.opengl import targets as target_module
 from glstar.render.opengl.context import EGLDevice, adopt_context, egl_devices, headless_context
 from glstar.render.opengl.passes import develop
-from glstar.render.opengl.passes.display import WindowPart
+from glstar.render.opengl.passes import display as display_module
+from glstar.render.opengl.passes.display import DisplayPass, Placement, Tone, WindowPart
 from glstar.render.opengl.passes.enlarge import _reduced_clock
 from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
 from glstar.render.opengl.renderer import _have_same_light, _require_single
@@ -193,7 +194,7 @@ DEVICES = {11: b"EGL_EXT_device_drm EGL_NV_device_cuda", 12: b"EGL_MESA_device_s
 
 
 def extension_function(_egl: Any, name: str, _result: Any, *arguments: Any) -> Any:
-    """Stand in for the functions of EGL's extensions."""
+    """Return a function of EGL's extensions for these devices."""
 
     def devices(most: int, handles: Any, count: Any) -> None:
         count._obj.value = len(DEVICES)
@@ -557,3 +558,73 @@ def test_scenes_have_the_same_light_while_stars_camera_and_exposure_stay() -> No
         assert str(refused.value) == message
     _require_single(scene, is_closed=False)
     assert programs._NONE == {}
+
+
+def test_the_target_of_the_display_stays_while_its_size_does() -> None:
+    context = fakegl.Context()
+    context.detect_framebuffer = lambda _number: "screen"
+    display = DisplayPass(context)
+    target, texture = display._target_of((30, 20))
+    assert (texture.arguments, texture.filter) == (((30, 20), 4), (moderngl.NEAREST, moderngl.NEAREST))
+    assert target.arguments == ([texture],)
+    assert display._target_of((30, 20)) == (target, texture)
+    other, larger = display._target_of((31, 20))
+    assert (target.releases, texture.releases, larger.size) == (1, 1, (31, 20))
+    colours = np.arange(768, dtype=np.uint8).reshape(256, 3)
+    mapped = display._colour_map_of(colours)
+    assert (mapped.arguments, mapped.settings) == (((256, 1), 3), {"alignment": 1})
+    assert display._colour_map_of(colours // 2 + 1) is mapped
+    assert mapped.written().tolist() == (colours // 2 + 1).tobytes()
+    assert mapped.calls[-1][2] == {"alignment": 1}
+    display.close()
+    display.close()
+    assert [made.releases for made in (target, texture, other, larger, mapped)] == [1] * 5
+
+
+def test_a_program_of_the_display_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[tuple[str, str, dict[str, float]]] = []
+
+    def link(_context: Any, vertices: str, fragments: str, **constants: float) -> fakegl.Program:
+        compiled.append((vertices, fragments, constants))
+        program = fakegl.Program()
+        program.release = lambda: compiled.append(("released", fragments, {}))
+        return program
+
+    monkeypatch.setattr(display_module, "linked", link)
+    context = fakegl.Context()
+    context.detect_framebuffer = lambda _number: "screen"
+    display = DisplayPass(context)
+    placement = Placement((30, 20), (1.5, -2.5), 1.25, (0, 0, 30, 20))
+    tone = Tone(0.1, 2.0, 0.5, None, night=True)
+    image = fakegl.Resource("texture", (30, 20), 1, dtype="u1")
+    first = display._prepared(image, 4095, placement, tone, None, None)
+    assert display._prepared(image, 4095, placement, tone, None, None) is first
+    assert compiled == [("whole_image.vert", "display.frag", {"SHRINKS": 1, "COMPARES": 0, "COLOURED": 0})]
+    assert first.arguments[0] == {
+        "simulated": 0, "screen_from_fragment_px": (0.0, 0.0, 1.0, 1.0), "backdrop": (0.0, 0.0, 0.0, 0.0),
+        "corner_px": (1.5, -2.5), "image_px_per_screen_px": 1.25, "simulated_white_dn": 4095.0, "black": 0.1,
+        "boost": 2.0, "softening": 0.5, "per_asinh": pytest.approx(1 / np.arcsinh(0.5)), "night": 1,
+    }  # fmt: skip
+    assert (image.repeat_x, image.repeat_y) == (False, False)
+    assert image.calls == [("use", (), {"location": 0})] * 2
+    part = WindowPart(None, (200, 100), (30, 10), (40, 5, 150, 80), (0.25, 0.5, 0.75))
+    processed = np.zeros((20, 30, 3), np.uint8)
+    shown = display._prepared(processed, 255, placement, replace(tone, softening=0.0, night=False), None, part)
+    assert display._prepared(processed, 255, placement, tone, None, part) is shown
+    assert shown.arguments[0] == {
+        "processed": 0, "screen_from_fragment_px": (-30.0, 89.0, 1.0, -1.0), "backdrop": (0.25, 0.5, 0.75, 1.0),
+        "corner_px": (1.5, -2.5), "image_px_per_screen_px": 1.25, "night": 1,
+    }  # fmt: skip
+    (uploaded,) = (made for made in context.made if made.kind == "texture")
+    assert [call[:1] + call[2:] for call in uploaded.calls if call[0] == "use"] == [("use", {"location": 0})] * 2
+    linear = display._prepared(image, 255, placement, replace(tone, softening=0.0), None, part)
+    assert linear.arguments[0]["per_asinh"] == 0.0
+    for coarseness, shrinks in ((1.0, 0), (1.01, 1), (2.0, 1), (2.01, 2)):
+        coarse = replace(placement, image_px_per_screen_px=coarseness)
+        display._prepared(image, 255, coarse, tone, None, None)
+        assert {"SHRINKS": shrinks, "COMPARES": 0, "COLOURED": 0} in [constants for *_, constants in compiled]
+    assert len(compiled) == 4
+    display.close()
+    assert sorted(fragments for kind, fragments, _ in compiled if kind == "released") == [
+        "display.frag", "display.frag", "display.frag", "processed.frag",
+    ]  # fmt: skip

@@ -122,7 +122,8 @@ def test_a_profile_reaches_its_bounds_and_turns_around_north(tmp_path: Path) -> 
     np.testing.assert_allclose(found, [[35.0, 5.0], [5.0, -5.0]], rtol=1e-9)
     # Both ends are north; without a point there, the last and the first point are neighbours.
     whole = HorizonProfile.open(written(tmp_path, "0,3\n90,80\n120,60\n360,3\n"))
-    np.testing.assert_allclose(np.rad2deg([whole.azimuths_rad, whole.altitudes_rad]), [[0, 90, 120], [3, 80, 60]])
+    points_deg = np.rad2deg([whole.azimuths_rad, whole.altitudes_rad])
+    np.testing.assert_allclose(points_deg, [[0, 90, 120], [3, 80, 60]], rtol=1e-12)
     open_at_north = HorizonProfile.open(written(tmp_path, "20,3\n90,80\n340,7\n"))
     np.testing.assert_allclose(np.rad2deg(open_at_north.altitude_rad([0.0, 350 * DEG, 10 * DEG])), [5, 6, 4], rtol=1e-9)
 

@@ -222,7 +222,7 @@ def test_frames_turn_with_the_sidereal_day_and_the_pole(monkeypatch: pytest.Monk
         expected = C_ned_eq(latitude[k], longitude[k]) @ moved.polar_motion @ about_z(at_greenwich[k])
         np.testing.assert_allclose(found[k], expected, rtol=0, atol=1e-9)
     # The pole along one axis alone is not the fixed one.
-    for x_pole, y_pole in ((2e-4, 0.0), (0.0, 3e-4)):
+    for x_pole, y_pole in ((2e-4, 0.0), (0.0, 3e-4), (2e-4, 2e-4)):
         moved = EarthOrientation(0.4, x_pole, y_pole)
         assert np.abs(auto.C_ned_eq(times, latitude, longitude) - sky.C_ned_eq(times, latitude, longitude)).max() > 1e-4
     with pytest.raises(ConfigError) as refused:
@@ -279,6 +279,8 @@ def test_an_altitude_crosses_zero_upwards_and_downwards() -> None:
     for at_s, is_found in ((89_300.0, True), (89_500.0, False)):
         late = _crossings(lambda times_s, at_s=at_s: times_s - begins_s - at_s, begins_s)
         assert (late.rise_utc_s is not None) == is_found
+    soon = _crossings(lambda times_s: times_s - begins_s - 0.4, begins_s)
+    assert (soon.rise_utc_s, soon.is_up) == (pytest.approx(begins_s + 0.4, rel=0, abs=0.02), False)
     assert _crossings(lambda times_s: np.full(len(times_s), 0.1), 0.0) == (None, None, True)
     assert _crossings(lambda times_s: np.zeros(len(times_s)), 0.0) == (None, None, False)
 

@@ -1,4 +1,4 @@
-"""Stands in for OpenGL where a test asks what is uploaded and released, and not what is drawn."""
+"""Test doubles of OpenGL, for tests of what is uploaded and released, and not of what is drawn."""
 
 from typing import Any
 
