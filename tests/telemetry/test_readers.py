@@ -249,7 +249,11 @@ def test_a_description_is_a_flight_by_its_keys() -> None:
     }
     flight = parse_description("fly:orbit?radius_m=300&direction=left&heading_deg=90&wind_m_per_s=8&wind_from_deg=180")
     assert isinstance(flight, SyntheticFlight)
-    assert (flight.radius_m, flight.clockwise, flight.heading_rad) == (300.0, False, pytest.approx(np.pi / 2))
+    assert (flight.radius_m, flight.clockwise, flight.heading_rad) == (
+        300.0,
+        False,
+        pytest.approx(np.pi / 2, abs=1e-12),
+    )
     assert flight.airspeed_m_per_s == 18.0
     assert parse_description("fly:orbit").clockwise
     with pytest.warns(UserWarning, match="the key start_utc is called utc_start now; the old name goes with the next"):
@@ -314,7 +318,7 @@ def test_a_scripted_flight_turns_at_constant_rates() -> None:
     assert (position.clock_s.tolist(), clock.utc_s.tolist(), clock.clock_s.tolist()) == ([0.0], [1710068400.0], [0.0])
     usual = ScriptedFlight.steady(site, 1710068400.0)
     assert (usual.duration_s, usual.rate_hz, usual.name) == (10.0, 200.0, "scripted flight")
-    np.testing.assert_allclose(usual.q_body_ned(np.array([3.0])), [[1.0, 0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(usual.q_body_ned(np.array([3.0])), [[1.0, 0.0, 0.0, 0.0]], rtol=0, atol=1e-15)
     assert usual.flight().attitude.first_s == 1710068400.0
 
 

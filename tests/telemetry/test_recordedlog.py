@@ -134,7 +134,7 @@ def test_positions_are_sorted_finite_and_flyable() -> None:
     assert of.position_notes == ("1 of 9 positions are too far from the others for an aircraft, and are left out",)
     lost = position(30.0, 6, height_m=np.array([500.0, 501, 0, 0, 504, 505]))
     of = Recording.of("log", [lost])
-    np.testing.assert_allclose(of.position.height_m, [500, 501, 502, 503, 504, 505])
+    np.testing.assert_allclose(of.position.height_m, [500, 501, 502, 503, 504, 505], rtol=1e-12)
     note = "2 of 6 heights are 0 m between others that are not: they are interpolated"
     assert of.position_notes == (note,)
     other = position(31.0, 6, latitude_rad=np.full(6, 0.5))
@@ -174,7 +174,7 @@ def test_a_flight_is_by_the_utc_of_the_log_or_of_the_user() -> None:
     assert (flight.name, flight.attitude_source) == ("log.bin", "att, 2.0 Hz")
     assert (flight.position_source, flight.utc_source) == ("pos", "gps")
     assert (flight.attitude.first_s, flight.attitude.last_s) == (UTC_S, UTC_S + 10)
-    assert flight.position.at(UTC_S + 4).height_m == pytest.approx(52.0)
+    assert flight.position.at(UTC_S + 4).height_m == pytest.approx(52.0, abs=1e-5)
     assert flight.triggers[0].utc_s.tolist() == [UTC_S + 1, UTC_S + 2]
     assert flight.events.utc_s.tolist() == [UTC_S + 3]
     assert flight.notes == ("of att", "of clock", "of a trigger")
@@ -437,7 +437,7 @@ def test_sources_and_remarks_name_their_boot() -> None:
     assert flight.events.utc_s.tolist() == [UTC_S + 3, UTC_S + 103]
     np.testing.assert_array_equal(flight.gimbal.utc_s - UTC_S, [1, 2, 101, 102])
     assert (flight.gimbal.is_earth.tolist(), flight.gimbal.source) == ([True, False] * 2, "mnt")
-    assert flight.position.at(UTC_S + 104).height_m == pytest.approx(52.0)
+    assert flight.position.at(UTC_S + 104).height_m == pytest.approx(52.0, abs=1e-5)
     placed = log(*one, *two, boots=TWO).flight(FlightOptions(site=HOME))
     assert placed.position_source == "given"
 
