@@ -83,6 +83,12 @@ def test_how_long_utc_is_usually_repeated(utc_s: list[float], hold_s: float) -> 
     assert tableclock._usual_hold_s(-clock_s, np.array(utc_s)) == pytest.approx(hold_s, abs=1e-9)
 
 
+@pytest.mark.parametrize(("whole", "are_whole"), [(26, False), (27, True)])
+def test_most_of_52_readings_have_whole_seconds(whole: int, are_whole: bool) -> None:
+    utc_s = UTC_S + np.arange(52) + np.where(np.arange(52) < whole, 0.0, 0.25)
+    assert tableclock.has_whole_seconds(utc_s) is are_whole
+
+
 def readings(clock_s: list[float], utc_s: list[float], cells: list[int]) -> tuple[list[float], ...]:
     found = tableclock._readings(np.array(clock_s), np.array(utc_s), np.array(cells))
     columns = (found.rows, found.clock_s, found.before_s, found.utc_s)
@@ -356,6 +362,7 @@ PARTED = [((0, 250),), ((250, EVERYWHERE),)]
     ("step_s", "by_s", "expected"),
     [
         (0.05, -0.146, WHOLE),  # the clock goes back by 0.096 s
+        (0.05, -0.154, [((0, 250), (250, EVERYWHERE))]),  # 0.104 s: two parts, of one boot because they overlap
         (0.05, -40.0, PARTED),
         (0.2, -0.49, WHOLE),
         (1.96, -500.0, PARTED),
