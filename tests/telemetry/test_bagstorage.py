@@ -11,6 +11,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from mcap.writer import CompressionType, Writer
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.bags import is_bag, storage
@@ -246,3 +247,75 @@ def test_a_database_has_topics_and_definitions(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(ValueError, match="its database has views or triggers, which no recorder writes"):
         list(storage._sqlite(Bag("a.db3"), path))
+
+
+# --- MCAP -----------------------------------------------------------------------------------------------------------
+OF_IMU = _Channel("/i", IMU)
+
+
+def mcap_record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def mcap_message(channel: int, received_ns: int, data: bytes) -> bytes:
+    """Return a message, https://mcap.dev/spec: channel, sequence, log time, publish time, data."""
+    return mcap_record(5, struct.pack("<HIQQ", channel, 77, received_ns, 99) + data)
+
+
+@pytest.mark.parametrize(
+    ("rest", "lacking", "is_noted"),
+    [
+        (b"", 0, False),
+        (b"\x05\xff", 0, True),
+        (mcap_message(3, 8, b"cut")[:-1], 0, True),
+        (b"\x05\xff", 1, False),  # of a chunk whose end is missing
+    ],
+)
+def test_messages_of_a_chunk(rest: bytes, lacking: int, is_noted: bool) -> None:
+    others = mcap_message(4, 6, b"no") + mcap_record(0x0C, b"xyz")
+    content = mcap_message(3, 5, b"one") + others + mcap_message(3, 7, b"") + rest
+    bag = Bag("a.mcap")
+    of = SimpleNamespace(compression="", data=content, uncompressed_size=len(content) + lacking)
+    assert list(storage._mcap_chunk(bag, of, {}, {3: OF_IMU})) == [(OF_IMU, 5, b"one"), (OF_IMU, 7, b"")]
+    damaged = "a chunk of the recording is damaged, and its last messages are lost"
+    assert bag.notes == ([damaged] if is_noted else [])
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+@pytest.mark.parametrize("use_chunking", [True, False])
+@pytest.mark.parametrize("profile", ["ros1", "ros2"])
+def test_a_recording_of_mcap(tmp_path: Path, compression: CompressionType, use_chunking: bool, profile: str) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, use_chunking=use_chunking)
+        writer.start(profile, "x")
+        schema = writer.register_schema("sensor_msgs/TimeReference", "ros1msg", MESSAGE_TEXT.encode())
+        other = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        channel, text = writer.register_channel("/t", "ros1", schema), writer.register_channel("/x", "ros1", other)
+        for k in range(3):
+            data = struct.pack("<IIII", 5, 1000 + k, 250_000_000, 0) + struct.pack("<III", 1700000001 + k, 0, 0)
+            writer.add_message(channel, 9_500_000_000 + k, data, 9)
+            writer.add_message(text, 1, b"\0\0\0\0", 9)
+        writer.finish()
+    bag = read_bag(str(path))
+    assert bag.format == ("ROS 1 bag (MCAP)" if profile == "ros1" else "ROS 2 bag (MCAP)")
+    assert bag.kinds == {TIME, "std_msgs/msg/String"}
+    [topic] = bag.topics.values()
+    np.testing.assert_allclose(topic.column("stamp_s"), [1000.25, 1001.25, 1002.25], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(topic.column("utc_s"), 1700000001.0 + np.arange(3), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(topic.column("received_s"), 9.5, rtol=0, atol=1e-6)
+    assert (bag.notes, bag.unread_bytes) == ([], 0)
+
+
+def test_messages_without_a_definition_are_undefined(tmp_path: Path) -> None:
+    bag = Bag("a")
+    assert not bag.topic(_Channel("/t", TIME)).undefined
+    path = tmp_path / "a.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute("CREATE TABLE messages (topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        database.execute("INSERT INTO topics VALUES (1, '/p', 'px4_msgs/msg/VehicleAttitude', 'cdr')")
+        database.execute("INSERT INTO messages VALUES (1, 5, x'0001')")
+    database.close()
+    [topic] = read_bag(str(path)).topics.values()
+    assert (topic.undefined, topic.undecoded, len(topic)) == (True, 1, 0)

@@ -278,9 +278,9 @@ def test_a_piece_is_measured_without_the_records_beside_a_cut() -> None:
     of.inner = (110, 190)
     readings = utc(one, np.where(np.arange(40) < 15, UTC_S, UTC_S + 4))
     boots._measure(of, [one, other], readings, utc(one, 700.0))
-    assert (of.records, of.first_s, of.last_s) == (16, pytest.approx(3.1), pytest.approx(6.8))
+    assert (of.records, of.first_s, of.last_s) == (16, pytest.approx(3.1, abs=1e-9), pytest.approx(6.8, abs=1e-9))
     assert of.utc_minus_clock_s == UTC_S + 2
-    assert of.arrival_minus_clock_s == pytest.approx(700.0)
+    assert of.arrival_minus_clock_s == pytest.approx(700.0, abs=1e-9)
     empty = _Piece((900, 999), "back")
     boots._measure(empty, [one], readings, None)
     assert (empty.records, empty.first_s, empty.last_s) == (0, inf, -inf)
@@ -298,11 +298,11 @@ def test_the_records_beside_a_cut_may_be_halves() -> None:
     assert [one.inner for one in pieces] == [(0, 90), (110, 200), (200, 290), (400, 400)]
     boots._leave_out_halves(pieces, [_Boot([pieces[0], pieces[2], pieces[3]]), _Boot([pieces[1]])])
     assert spans(pieces) == [(0, 90), (110, 200), (200, 300), (300, 400)]
-    apart = [_Piece((0, 100), "start"), _Piece((100, 200), "forward"), _Piece((210, 300), "back")]
-    for one in apart:
+    separate = [_Piece((0, 100), "start"), _Piece((100, 200), "forward"), _Piece((210, 300), "back")]
+    for one in separate:
         one.inner = (one.span[0] + 5, one.span[1] - 5)
-    boots._leave_out_halves(apart, [_Boot([one]) for one in apart])
-    assert spans(apart) == [(0, 95), (105, 200), (210, 300)]
+    boots._leave_out_halves(separate, [_Boot([one]) for one in separate])
+    assert spans(separate) == [(0, 95), (105, 200), (210, 300)]
 
 
 def test_the_utc_of_a_boot_beside_a_longer_one_is_in_doubt() -> None:

@@ -171,8 +171,8 @@ def test_a_recorders_clock_that_was_set_is_followed(set_s: float, is_followed: b
     arrived_s = usual_s + np.where(np.arange(12) >= 9, set_s, 0.0)
     near_s = _arrived_near_s(arrived_s, np.array([50.0, 70.0]), boot)
 
-    np.testing.assert_allclose(near_s[:9], usual_s[:9])
-    np.testing.assert_allclose(near_s[9:], 70.0 + set_s * is_followed)
+    np.testing.assert_allclose(near_s[:9], usual_s[:9], rtol=1e-12)
+    np.testing.assert_allclose(near_s[9:], 70.0 + set_s * is_followed, rtol=1e-12)
 
 
 def clock() -> VehicleClock:
@@ -186,7 +186,7 @@ def clock() -> VehicleClock:
         wraps=np.array([0, 0, 0, 0, 2]),
         later_s=np.array([0.0, 0.0, 60.0]),
         stamp_s=np.array([1007.0, 1008.0, 1040.0, 1062.5, 1070.0]),
-        arrived_s=np.array([1000.0, 1000.0, 1000.0, 1060.5, 1060.5]),
+        arrived_s=np.array([1000.0, 1001.0, 1002.0, 1060.5, 1062.0]),
         is_known=np.array([True, True]),
         utc_sources=("", ""),
         readings=np.empty((0, 6)),
@@ -212,10 +212,10 @@ def test_a_packet_is_of_the_boot_and_wrap_of_the_next_attitude() -> None:
 def test_microseconds_of_32_bits_are_those_nearest_to_the_boot() -> None:
     """9000 s are twice 2^32 us and 410.065408 s."""
     wrap_us = 2**32
-    low_us = [7_100_000, 7_100_000 + 3 * wrap_us, 410_565_408, wrap_us - 89_000_000, np.nan]
-    rows = np.array([[at, 0.0, 3, 1, us] for at, us in zip((100, 100, 400, 400, 100), low_us, strict=True)])
+    low_us = [7_100_000, 7_100_000 + 3 * wrap_us, 410_565_408, wrap_us - 89_000_000, np.nan, 2_805_032_704]
+    rows = np.array([[at, 0.0, 3, 1, us] for at, us in zip((100, 100, 400, 400, 100, 400), low_us, strict=True)])
 
-    expected = [7.1, 7.1, 9000.5 + 60, 2 * 4294.967296 - 89 + 60, np.nan]
+    expected = [7.1, 7.1, 9000.5 + 60, 2 * 4294.967296 - 89 + 60, np.nan, 7100 + 60]
     np.testing.assert_allclose(clock().read_us(rows), expected, rtol=0, atol=1e-6)
 
 
@@ -232,7 +232,7 @@ def test_packets_of_others_are_timed_by_the_packet_that_arrived_with_them() -> N
         ]
     )
 
-    expected = [6.5, 7.3, 7.9, 1041.0 - 1060.5 + 60, 1064.0 - 1060.5 + 60, 39.0, 1071.0 - 1060.5 + 60]
+    expected = [6.5, 7.3, 6.9, 1041.0 - 1060.5 + 60, 1064.0 - 1060.5 + 60, 37.0, 1071.0 - 1062.0 + 60]
     np.testing.assert_allclose(clock().on_arrival(rows), expected, rtol=0, atol=1e-9)
 
 
@@ -320,13 +320,13 @@ def test_boots_without_any_utc_are_related_by_the_recorder() -> None:
 
 
 def test_a_time_since_boot_of_32_bits_wraps_around() -> None:
-    boot_s = WRAP_S - 10.0 + 0.1 * np.arange(200)
+    boot_s = WRAP_S - 30.0 + 0.1 * np.arange(600)
     stamps = boot_s + 700.0
     table = Table(
         ATTITUDE=attitudes(100, boot_s % WRAP_S, stamps),
         SYSTEM_TIME=[
             [105 + 50 * k, stamps[5 * k], *PILOT, 1e3 * (boot_s[5 * k] % WRAP_S), 1e6 * (UTC_S + boot_s[5 * k])]
-            for k in range(40)
+            for k in range(120)
         ],
     )
     one = VehicleClock.of(table, PILOT)

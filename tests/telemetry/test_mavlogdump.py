@@ -82,7 +82,7 @@ def test_how_often_a_clock_steps_back(steps: int, size: int, goes_back: bool) ->
 
 
 @pytest.mark.parametrize(
-    ("rows_of", "apart", "drift", "alternates"),
+    ("rows_of", "other_by", "drift", "alternates"),
     [
         (20, 0.021, 0.0, True),
         (20, 0.019, 0.0, False),
@@ -92,11 +92,11 @@ def test_how_often_a_clock_steps_back(steps: int, size: int, goes_back: bool) ->
     ],
 )
 def test_attitudes_that_alternate_are_of_two_vehicles(
-    rows_of: int, apart: float, drift: float, alternates: bool
+    rows_of: int, other_by: float, drift: float, alternates: bool
 ) -> None:
     """Neighbours differ by more than 0.02, and five times more than every other row, which drifts by twice a step."""
     k = np.arange(rows_of)
-    values = np.column_stack([drift * k + apart * (k % 2), 3.0 + 0 * k])
+    values = np.column_stack([drift * k + other_by * (k % 2), 3.0 + 0 * k])
     assert mavlogdump._alternates(values, 0.02) is alternates
 
 

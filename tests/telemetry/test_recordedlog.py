@@ -134,7 +134,7 @@ def test_positions_are_sorted_finite_and_flyable() -> None:
     assert of.position_notes == ("1 of 9 positions are too far from the others for an aircraft, and are left out",)
     lost = position(30.0, 6, height_m=np.array([500.0, 501, 0, 0, 504, 505]))
     of = Recording.of("log", [lost])
-    np.testing.assert_allclose(of.position.height_m, [500, 501, 502, 503, 504, 505])
+    np.testing.assert_allclose(of.position.height_m, [500, 501, 502, 503, 504, 505], rtol=1e-12)
     note = "2 of 6 heights are 0 m between others that are not: they are interpolated"
     assert of.position_notes == (note,)
     other = position(31.0, 6, latitude_rad=np.full(6, 0.5))
@@ -174,7 +174,7 @@ def test_a_flight_is_by_the_utc_of_the_log_or_of_the_user() -> None:
     assert (flight.name, flight.attitude_source) == ("log.bin", "att, 2.0 Hz")
     assert (flight.position_source, flight.utc_source) == ("pos", "gps")
     assert (flight.attitude.first_s, flight.attitude.last_s) == (UTC_S, UTC_S + 10)
-    assert flight.position.at(UTC_S + 4).height_m == pytest.approx(52.0)
+    assert flight.position.at(UTC_S + 4).height_m == pytest.approx(52.0, abs=1e-5)
     assert flight.triggers[0].utc_s.tolist() == [UTC_S + 1, UTC_S + 2]
     assert flight.events.utc_s.tolist() == [UTC_S + 3]
     assert flight.notes == ("of att", "of clock", "of a trigger")
@@ -192,6 +192,44 @@ def test_a_flight_is_by_the_utc_of_the_log_or_of_the_user() -> None:
         assert placed.position.at(UTC_S).height_m == site.height_m
     assert of.attitude_source("spline") == "att, 2.0 Hz, between samples by a spline"
     assert of.attitude_source("gyro") == "att, 2.0 Hz, between samples by the gyros (gyr, 2.0 Hz)"
+
+
+def test_triggers_with_utc_of_their_own_keep_their_distance_from_the_attitude() -> None:
+    trigger = TriggerSamples(np.array([31.0, 32.0]), np.array([UTC_S + 1.25, np.nan]), "CAM")
+    of = Recording.of("log", [attitude(), position(), clock(), trigger])
+    assert of.flight().triggers[0].utc_s.tolist() == [UTC_S + 1.25, UTC_S + 2]
+    assert of.flight(FlightOptions(utc_start=UTC_S + 1000)).triggers[0].utc_s.tolist() == [
+        UTC_S + 1001.25,
+        UTC_S + 1002,
+    ]
+    without = Recording.of("log", [attitude(), position(), trigger])
+    assert without.flight(FlightOptions(utc_start=UTC_S)).triggers[0].utc_s.tolist() == [UTC_S + 1, UTC_S + 2]
+
+
+def test_remarks_on_positions_are_those_of_a_flight_that_uses_them() -> None:
+    lost = position(30.0, 6, height_m=np.array([500.0, 501, 0, 0, 504, 505]))
+    of = Recording.of("log", [attitude(), lost, clock()])
+    assert of.flight().notes == ("2 of 6 heights are 0 m between others that are not: they are interpolated",)
+    assert of.flight(given(*(UTC_S + np.arange(11.0)))).notes == ("own",)
+
+
+def test_the_report_has_milliseconds_and_hundredths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(b"x")
+    monkeypatch.setattr(Script, "name", str(path))
+    one = attitude(count=12, step_s=0.12345678, deg_per_s=4.56)
+    clock_s = one.clock_s + np.where(np.arange(12) >= 6, 3.14159265, 0.0)
+    gyros = RateSamples(clock_s, np.zeros((12, 3)), "gyr")
+    report, _ = survey(Script(replace(one, clock_s=clock_s), position(), clock(), gyros))
+    assert report.duration_s == 4.5  # 1.35802458 + 3.14159265 = 4.49961723
+    assert (report.gaps[0].start_s, report.gaps[0].duration_s) == (0.617, 3.265)
+    [survey_of] = report.attitudes
+    assert (survey_of.rate_hz, survey_of.duration_s, survey_of.longest_gap_s) == (8.1, 4.5, 3.265)
+    assert survey_of.largest_rate_deg_per_s == 4.6
+    assert report.gyros.rate_hz == 8.1
+    # Positions are at 2 s: half of the flight is 1.12490431 of them.
+    assert report.latitude_deg == round(np.rad2deg(-0.6 + 1.12490431e-6), 6)
+    assert report.longitude_deg == 137.509871
 
 
 GIVE_UTC = "give the UTC of its first attitude as utc_start (--utc-start)"
@@ -399,7 +437,7 @@ def test_sources_and_remarks_name_their_boot() -> None:
     assert flight.events.utc_s.tolist() == [UTC_S + 3, UTC_S + 103]
     np.testing.assert_array_equal(flight.gimbal.utc_s - UTC_S, [1, 2, 101, 102])
     assert (flight.gimbal.is_earth.tolist(), flight.gimbal.source) == ([True, False] * 2, "mnt")
-    assert flight.position.at(UTC_S + 104).height_m == pytest.approx(52.0)
+    assert flight.position.at(UTC_S + 104).height_m == pytest.approx(52.0, abs=1e-5)
     placed = log(*one, *two, boots=TWO).flight(FlightOptions(site=HOME))
     assert placed.position_source == "given"
 

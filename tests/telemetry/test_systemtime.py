@@ -108,3 +108,14 @@ def test_readings_that_are_quick_or_at_one_time_are_of_one_boot(interval_s: floa
     later = np.arange(20) >= 10
     _, used, _ = _corrected(readings(50.0 + interval_s * np.arange(20.0), np.where(later, 8.0, 0.0)))
     np.testing.assert_array_equal(used, later)
+
+
+def test_a_remark_names_the_whole_correction_of_several() -> None:
+    """UTC is 20 s early, then 12 s, then right: two corrections, of 20 s together."""
+    boot_s = np.arange(30.0)
+    rows, used, notes = _corrected(readings(boot_s, np.where(boot_s < 6, -20.0, np.where(boot_s < 14, -12.0, 0.0))))
+    np.testing.assert_array_equal(used, boot_s >= 14)
+    np.testing.assert_allclose(utc_minus_boot_s(rows), 0.0, rtol=0, atol=1e-3)
+    assert len(notes) == 1
+    assert notes[0].startswith("14 of 30 readings of SYSTEM_TIME are left out")
+    assert "by +20.0 s without a reboot" in notes[0]

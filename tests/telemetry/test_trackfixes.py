@@ -193,7 +193,7 @@ def test_times_of_igc_go_on_after_midnight() -> None:
     found, _ = igc(HEADER + "\n".join(map(at, clocks)))
     past_s = [86398, DAY_S + 1, DAY_S, DAY_S + 43202, DAY_S + 3]  # 12 h back is the same day, more is the next
     assert [fix[0] - MIDNIGHT_S for fix in found] == past_s
-    # A second date begins anew.
+    # A second date begins another day.
     found, _ = igc(f"{HEADER}{at('235958')}\nHFDTEDATE:120324,01\n{at('000001')}")
     assert [fix[0] - MIDNIGHT_S for fix in found] == [86398, 2 * DAY_S + 1]
     found, _ = igc(f"{HEADER}{at('120000')}\n{at('000001')}\n{at('000000')}")
