@@ -130,7 +130,7 @@ def test_masks_of_what_a_config_or_its_sweep_has(tmp_path: Path) -> None:
     assert kinds("[sweep]\ncloud.coverage = [0.1, 0.5]\n") == ("trails", "saturated", "cloud")
     (tmp_path / "h.csv").write_text("azimuth_deg,altitude_deg\n0,5\n90,6\n180,7\n")
     assert kinds('[sky]\nhorizon = "h.csv"\n')[-1] == "ground"
-    assert kinds('[sweep]\nsky.horizon = ["none", "h.csv"]\n')[-1] == "ground"
+    assert kinds('[sweep]\nsky.horizon = ["flat", "h.csv"]\n')[-1] == "ground"
 
 
 def test_an_image_of_the_same_size_cannot_be_written_to_and_one_at_twice_its_size_is_interpolated() -> None:
