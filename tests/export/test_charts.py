@@ -3,9 +3,12 @@
 import re
 from math import cos, hypot, log10, radians, sin, sqrt
 
+import cv2
+import numpy as np
 import pytest
 
-from glstar.export.report import html
+from glstar.export.imagefiles.processing import encode_jpeg
+from glstar.export.report import html, pictures
 from glstar.export.report.charts import _decades, _ticks, curve, ground_track, sky_track
 
 
@@ -195,3 +198,73 @@ def test_sections_are_open_unless_they_are_closed() -> None:
 )
 def test_numbers_are_chosen_evenly_with_the_first_and_the_last(count: int, most: int, expected: list[int]) -> None:
     assert html.evenly(count, most) == expected
+
+
+# --- images of a page -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.5, 0.9999, 1.0])
+def test_quantiles_of_levels_are_those_of_the_pixels(fraction: float) -> None:
+    pixels = np.random.default_rng(4).integers(20, 90, (7, 11)).astype(np.uint8)
+    for values in (pixels, pixels.astype(np.float64) / 3):
+        levels, level_of, counts = pictures._levels_of(values)
+        np.testing.assert_array_equal(levels[level_of], values)
+        assert pictures._quantile(levels, counts, fraction) == pytest.approx(np.quantile(values, fraction), rel=1e-12)
+
+
+def test_the_stretch_is_the_inverse_hyperbolic_sine_of_the_levels_above_the_sky() -> None:
+    # The median is 100, and the median distance to it 2: a standard deviation of 2.965.
+    pixels = np.array([[96, 98, 100, 100, 100, 102, 104, 130, 160]] * 3, np.uint16)
+    pixels[0, 0] = 4000
+    sigma = 1.4826 * np.median(np.abs(pixels - 100.0))
+    white = max(np.quantile(pixels, 0.9999) - 100, 30 * sigma)
+    expected = np.arcsinh(np.maximum(pixels - 100.0, 0) / (3 * sigma)) / np.arcsinh(white / (3 * sigma))
+
+    shown = pictures.stretched(pixels)
+
+    np.testing.assert_array_equal(shown, np.floor(np.minimum(expected, 1) * 255 + 0.5))
+    assert shown[0, 0] == 255
+    assert shown[1, 8] > shown[1, 7] > shown[1, 6] > 0
+    # Of an image without noise the standard deviation is half a digital number.
+    flat = np.full((9, 9), 50, np.uint8)
+    flat[4, 4] = 53
+    level = np.arcsinh(3 / 1.5) / np.arcsinh(15 / 1.5)
+    assert pictures.stretched(flat)[4, 4] == round(255 * level)
+
+
+def test_a_jpeg_is_the_best_that_is_small_enough_or_the_smallest() -> None:
+    noise = np.random.default_rng(5).integers(0, 256, (200, 300), dtype=np.uint8)
+
+    def size_of(jpeg: bytes) -> tuple[int, ...]:
+        return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED).shape
+
+    best, smallest = pictures._compressed(noise, 10**9), pictures._compressed(noise, 1)
+    assert best == encode_jpeg(noise, 85)
+    assert size_of(smallest) == (50, 75)
+    assert pictures._compressed(noise, len(best) - 1) == encode_jpeg(noise, 70)
+    assert pictures._compressed(noise, len(encode_jpeg(noise, 50)) - 1) == encode_jpeg(
+        cv2.resize(noise, (225, 150), interpolation=cv2.INTER_AREA), 60
+    )
+    assert size_of(pictures._compressed(np.zeros((20, 3200), np.uint8), 10**9)) == (10, 1600)
+    assert size_of(pictures._compressed(np.zeros((1, 4000), np.uint8), 10**9)) == (1, 1600)
+
+
+def test_the_brightest_stars_are_drawn_and_of_these_the_first_have_names() -> None:
+    stars = [
+        {"star_id": k + 1, "snr": 5.0, "x_px": 1.25, "y_px": 2.0, "start": None, "end": [3.06, 4.0]} for k in range(160)
+    ]
+    stars[1]["segments"] = [[[0.0, 1.0], [2.0, 3.0]], [None, [5.0, 6.0]]]
+    line = {"file": "a", "frame": 1, "utc_mid": "T", "camera": {"width_px": 4, "height_px": 3}, "stars": stars}
+
+    marks = pictures.drawing_of(line)["marks"]
+
+    assert len(marks) == 150
+    assert [bool(mark[0]) for mark in marks] == [True] * 20 + [False] * 130
+    assert marks[0][1:] == [0, [1.2, 2.0], 6.0, [[1.2, 2.0, 3.1, 4.0]]]
+    assert marks[1][4] == [[0.0, 1.0, 2.0, 3.0]]
+
+
+def test_data_of_a_script_cannot_end_it_and_are_numbers_of_json() -> None:
+    assert html._for_script({"a": "</script>&", "b": 1.5}) == '{"a":"\\u003c/script\\u003e\\u0026","b":1.5}'
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        html._for_script({"a": float("nan")})
