@@ -95,6 +95,11 @@ def test_the_panels_are_drawn_and_the_first_is_in_front_at_first(panels: Panels,
     drawn.closed = {"Settings", "Image", "Time", "Link"}
     panels.draw()
     assert panels.parts == ["display", "compare", "draw_object", "flight"]
+    panels._draw_link()
+    assert panels.parts[-1] == "draw_link"
+    panels._session.live = None
+    panels._draw_link()
+    assert panels.parts.count("draw_link") == 1
     panels.draw_image_alone()
     assert panels.parts[-1] == ("image", False, True)
     assert drawn.named("set_next_window_size")[-1][0] == (900.0, 600.0)
@@ -464,6 +469,61 @@ def test_chords_are_recognised_with_their_modifiers_alone(drawn: ScriptedImgui) 
     poll(keyboard, drawn, mods=ctrl)
     assert poll(keyboard, drawn, "n", mods=shift) == [Action.BLINK_NOISE]
     poll(keyboard, drawn, mods=0)
+
+
+def test_queued_input_and_typing_are_known(drawn: ScriptedImgui) -> None:
+    keyboard = Keyboard()
+    for queue in ([], ["key"]):
+        drawn.get_current_context = lambda queue=queue: SimpleNamespace(input_events_queue=queue)
+        drawn.io.want_text_input = bool(queue)
+        assert (keyboard.has_input_left, keyboard.is_typing) == (bool(queue), bool(queue))
+
+
+def test_a_frame_draws_all_or_the_image_alone(
+    window: Any, drawn: ScriptedImgui, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts: list[Any] = []
+    for name in ("apply_theme", "draw_status_bar", "draw_welcome", "draw_notifications", "draw_help"):
+        monkeypatch.setattr(interface, name, lambda *_, name=name, **keys: parts.append((name, *keys.values())))
+    drawn.backends = SimpleNamespace(opengl3_new_frame=lambda: None)
+    window.session.times, window.session.video = SimpleNamespace(frames_per_s=0.0), None
+    window._themed, window.recent, window._image = None, [], SimpleNamespace(has_readout=None)
+    window.keyboard, window.sky = SimpleNamespace(poll=lambda _: parts.append("keys")), Noting(done=parts)
+    for name in ("_exports", "_videos", "_missing", "tour"):
+        setattr(window, name, Noting(done=parts))
+    window._manual, window._panels = Noting(done=parts), Noting(done=parts)
+    window._find = SimpleNamespace(draw=lambda _: found[0])
+    window._connect = SimpleNamespace(draw=lambda: "udp:1")
+    window._palette = SimpleNamespace(draw=lambda: palette[0])
+    monkeypatch.setattr(window, "_draw_menus", lambda: parts.append("menus"))
+    monkeypatch.setattr(window, "perform", parts.append)
+    found, palette = [False], [None]
+
+    def frame() -> list[Any]:
+        parts.clear()
+        window.frame(lambda: None, 0.25)
+        return [part if isinstance(part, str) else part[0] for part in parts]
+
+    assert frame()[:6] == ["apply_theme", "keys", "menus", "draw_status_bar", "draw", "draw_welcome"]
+    assert (window.wanted_link, window._image.has_readout, window.session.done[-1]) == ("udp:1", True, ("update", 0.25))
+    # The colours change with the night alone; a picture or a video has no readout.
+    assert "apply_theme" not in frame()
+    window.session.night = True
+    frame()
+    assert parts[0] == ("apply_theme", True)
+    for picture, video in (("picture", None), (None, "video"), ("picture", "video")):
+        window.picture, window.session.video = picture, video
+        frame()
+        assert not window._image.has_readout
+    window._hidden = True
+    assert not {"menus", "draw_status_bar", "draw_welcome"} & set(frame())
+    assert ("draw_image_alone",) in parts
+    found[0], palette[0] = True, Action.LOOP
+    frame()
+    assert ("show", "Object") in parts
+    assert Action.LOOP in parts
+    drawn.is_popup_open = lambda *_: True
+    assert window.covers_picture
 
 
 def test_a_double_click_may_take_three_frames_more(drawn: ScriptedImgui) -> None:
