@@ -234,7 +234,7 @@ def test_a_scene_is_composed_again_only_if_more_than_its_noise_changes(image: An
     noisier = simulator(flight=own.flight, sensor=Sensor("a2"), composed=own.composed)
     image.update(ImageRequest(exposure, None, noisier), playing=False)
     assert (image.scene.name, own.composed) == ("at 5 with a2", [5.0])
-    # Skies with the same catalogue and models are equal.
+    # A sky equals another one with the same catalogue and models.
     same = {"catalogue": "bsc5", "astrometry": "erfa", "dut1_s": 0.0, "refraction": True}
     equal = [SimpleNamespace(**same, name=name) for name in "ab"]
     assert simulated._are_equal(*equal)
