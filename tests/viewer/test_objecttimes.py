@@ -165,7 +165,7 @@ def test_a_selected_object_has_its_direction_body_and_truth_once(monkeypatch: py
 def test_a_search_finds_names_numbers_and_the_brightest_first() -> None:
     stars = SimpleNamespace(
         catalogue="bsc5",
-        star_id=np.array([2491, 7001, 15, 99]),
+        star_id=np.array([2491, 7001, 15, 9107]),
         name=("Sirius", "Vega", "", ""),
         vmag=np.array([-1.5, 0.0, 2.1, 6.0]),
     )
@@ -176,16 +176,16 @@ def test_a_search_finds_names_numbers_and_the_brightest_first() -> None:
     assert search.star(98) is None
     assert search.matches("  ") == []
     assert search.matches("sirius")[0] is sirius
-    assert search.matches("HR 99")[0].star_id == 99
+    assert search.matches("HR 9107")[0].star_id == 9107
     # A number alone is a star's; with another word it is a name.
-    assert search.matches("99", limit=1)[0].star_id == 99
+    assert search.matches("9107", limit=1)[0].star_id == 9107
     assert search.matches("M31")[0].kind is ObjectKind.DEEP_SKY
     assert search.matches("moon")[0].kind is ObjectKind.BODY
     assert search.matches("ori", limit=2)[0].name == "Orion"
     assert len(search.matches("a", limit=5)) == 5
     assert search.matches("no such name") == []
-    unnamed = search.star(99)
-    assert (unnamed.name, unnamed.label) == ("HR 99", "HR 99")
+    unnamed = search.star(9107)
+    assert (unnamed.name, unnamed.label) == ("HR 9107", "HR 9107")
 
 
 # --- stretch and view ---
