@@ -1,6 +1,6 @@
 """The main loop without a window: how long it waits, what a script does, and which pictures are taken."""
 
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from glstar.config import Config
 from glstar.errors import RenderError
 from glstar.viewer import loop
 from glstar.viewer.flight.playhead import Mode
 from glstar.viewer.loop import Script, Viewer
 from glstar.viewer.overlays.table import Overlay
-from glstar.viewer.session.memory import WindowMemory
+from glstar.viewer.session.memory import Place, WindowMemory
 from glstar.viewer.session.saving import PictureAction
 from tests.viewer.test_actions import Noting
 
@@ -331,3 +332,42 @@ def test_a_frame_measures_its_time_and_presents_what_is_drawn(viewer: Any, monke
     interface.wants_full_screen = False
     frame(viewer, 0.25)
     assert events[-1] == ("set_full_screen", False)
+
+
+def test_a_link_that_the_user_has_given_is_opened_and_closed_with_the_window(
+    viewer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Any] = []
+
+    class Opened:
+        def __init__(self, *what: Any, **keys: Any) -> None:
+            opened.append((*what, keys))
+
+        def __enter__(self) -> "Opened":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            opened.append("closed")
+
+    monkeypatch.setattr(loop, "Link", Opened)
+    viewer._owned = ExitStack()
+    viewer.session.config = Config().override(**{"flight.sysid": 3})
+    viewer.session.errors_reported = nullcontext
+    monkeypatch.setattr(viewer, "follow", lambda link: opened.append(type(link)), raising=False)
+    viewer._connect("udpin:127.0.0.1:14550")
+    endpoint, options, keys = opened[0]
+    assert (endpoint.text, options) == ("udpin:127.0.0.1:14550", viewer.session.config.flight.options)
+    assert keys == {"sysid": 3, "retry": True}
+    assert opened[1:] == [Opened]
+    viewer._owned.close()
+    assert opened[2:] == ["closed"]
+
+
+def test_the_state_of_the_window_is_remembered_when_it_closes(viewer: Any, tmp_path: Path) -> None:
+    viewer._memory, viewer._owned = WindowMemory(tmp_path / "memory.json"), ExitStack()
+    viewer.session.night, viewer.interface.text_scale = True, 1.3
+    viewer.interface.sky = SimpleNamespace(place=Place(-34.9, 138.6, 50.0))
+    viewer.close()
+    stored = WindowMemory.load(tmp_path / "memory.json")
+    assert (stored.night, stored.overlays, stored.text_scale) == (True, frozenset({Overlay.HORIZON}), 1.3)
+    assert stored.place == Place(-34.9, 138.6, 50.0)
