@@ -356,3 +356,36 @@ def test_a_loader_reads_one_flight_and_knows_what_a_log_lacks(monkeypatch: pytes
     loader.read_again(Config(), only_site, typed)
     assert Path("f.bin").resolve() not in loader._typed_utc
     loader.close()
+
+
+def test_the_median_latency_is_that_of_the_last_sixty_images(live: Any) -> None:
+    for number in range(61):
+        live.clock.now_s += 1.0
+        live.drew(latest(0.0, live.clock.now_s - (0.25 if number < 31 else 0.5)), None, 0.5)
+        live.presented()
+    # Thirty of each.
+    assert live.latency_now_s == pytest.approx(0.375)
+
+
+def test_a_log_is_surveyed_once_for_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    finder, begun = loadedmodule.AttitudeFinder(), []
+
+    def submit(_: object, path: Path, config: Config) -> Future[Any]:
+        begun.append((path.name, config, Future()))
+        return begun[-1][2]
+
+    monkeypatch.setattr(finder._thread, "submit", submit)
+    assert not finder.is_busy
+    assert finder.of(Path("a.bin"), Config()) is None
+    assert finder.is_busy
+    # What a user chooses among its attitudes does not change them; another log or another time of its start does.
+    chosen = Config().override(**{"flight.attitude": "NKF1", "flight.interpolation": "spline"})
+    assert finder.of(Path("a.bin"), chosen.override(**{"flight.time_offset_s": 2.0})) is None
+    assert len(begun) == 1
+    begun[0][2].set_result("choices")
+    assert (finder.of(Path("a.bin"), Config()), finder.is_busy) == ("choices", False)
+    finder.of(Path("b.bin"), Config())
+    finder.of(Path("b.bin"), Config().override(**{"flight.utc_start": "2024-03-10T11:00:00Z"}))
+    assert [name for name, _, _ in begun] == ["a.bin", "b.bin", "b.bin"]
+    assert [future.cancelled() for _, _, future in begun] == [False, True, False]
+    finder.close()

@@ -281,3 +281,24 @@ def test_a_histogram_has_whole_numbers_in_its_bins() -> None:
     flat = Histogram.of(np.full((3, 4), 7, np.uint8))
     assert flat.level_dn[0] == 7
     assert flat.fraction[0] == 1.0
+
+
+def test_distances_are_from_the_nearest_point_of_a_trail() -> None:
+    # Three positions each of three stars: a corner, one that does not move, and one that is partly off the image.
+    xy = np.array(
+        [
+            [[0.0, 0.0], [3.0, 4.0], [np.nan, np.nan]],
+            [[10.0, 0.0], [3.0, 4.0], [6.0, 0.0]],
+            [[10.0, 8.0], [3.0, 4.0], [6.0, 5.0]],
+        ]
+    )
+    for position, expected in (
+        ((4.0, -3.0), [3.0, np.hypot(1, 7), np.hypot(2, 3)]),
+        ((-3.0, -4.0), [5.0, 10.0, np.hypot(9, 4)]),
+        ((12.0, 3.0), [2.0, np.hypot(9, 1), 6.0]),
+        ((13.0, 12.0), [5.0, np.hypot(10, 8), np.hypot(7, 7)]),
+    ):
+        np.testing.assert_allclose(skyobjects._distance_to_trail_px(xy, np.array(position)), expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        skyobjects._distance_to_trail_px(xy[1:2], np.array([10.0, 7.0])), [7.0, np.hypot(7, 3), np.hypot(4, 7)]
+    )
