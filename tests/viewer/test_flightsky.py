@@ -1,13 +1,14 @@
 """The sky along a flight, its curves, and the horizon on the map, against values worked out for small inputs."""
 
-from math import atan2, pi, radians, sin
+from math import atan2, cos, pi, radians, sin
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from glstar.config import ExposureSection
+from glstar.config import Config, ExposureSection
 from glstar.errors import RenderError
 from glstar.flight import AttitudeTrack, Gap
 from glstar.rotation import quaternion_from_euler
@@ -18,6 +19,7 @@ from glstar.viewer.flight import sky as flightsky
 from glstar.viewer.flight.lookaround import LookAround
 from glstar.viewer.flight.sky import CurrentConditions, SkySampler, SkySamples, light_intervals
 from glstar.viewer.flight.traces import FlightLines, TimelineCurve, Trace, motion_traces
+from glstar.viewer.overlays.canvas import ned_to_camera_matrix
 from glstar.viewer.skyobjects import _normalized, _rank
 
 SECTION = ExposureSection(duration_s=0.5, interval_s=3.0)
@@ -299,3 +301,58 @@ def test_names_match_by_beginnings_of_words_in_their_order() -> None:
         ("alpha cma", "cma alpha", 4), ("alpha cma", "lph", 3), ("alpha cma", "ph", 4), ("alpha cma", "x", 4),
     ):  # fmt: skip
         assert _rank(key, query) == rank
+
+
+def test_the_free_camera_is_level_and_stands_still_beside_the_aircraft(small: Config, log: Path) -> None:
+    flight = small.open_flight(log)
+    simulator, start_s = small.simulator(flight), flight.attitude.first_s
+    look = LookAround(azimuth_rad=2.0, altitude_rad=0.4, field_rad=1.2, size_px=(300, 200))
+    own = look.of(simulator)
+    assert look.of(simulator) is own
+    scene = own.scene(small.exposure.starting_at(start_s + 1.0))
+    C_camera_ned = ned_to_camera_matrix(scene.shutter[1:2])
+    # Right is level; ahead is at the azimuth and the altitude.
+    expected = [
+        [-sin(2.0), cos(2.0), 0.0],
+        [sin(0.4) * cos(2.0), sin(0.4) * sin(2.0), cos(0.4)],
+        [cos(0.4) * cos(2.0), cos(0.4) * sin(2.0), -sin(0.4)],
+    ]
+    np.testing.assert_allclose(C_camera_ned, expected, rtol=0, atol=3e-6)
+    assert look.label == "looking around: az 114.6°, alt 22.9°, 68.8° wide"
+    camera = look.camera
+    assert (camera.width_px, camera.height_px, camera.cx_px, camera.cy_px) == (300, 200, 149.5, 99.5)
+    # Of a stereographic lens, half of the width is 2 f tan(field / 4).
+    assert camera.fx_px == camera.fy_px == pytest.approx(150 / np.tan(0.3))
+    half_rad = np.arccos(camera.unit_vectors([[149.5, 99.5]])[0] @ camera.unit_vectors([[299.5, 99.5]])[0])
+    assert half_rad == pytest.approx(0.6, rel=1e-6)
+    # Its flight is made once for a direction; the same camera is another one of another size.
+    flown = own.flight
+    look.size_px = (310, 200)
+    other = look.of(simulator)
+    assert other is not own
+    assert other.flight is flown
+    look.azimuth_rad = 2.1
+    assert look.of(simulator).flight is not flown
+    # It looks where a position of the image is, and not where there is none.
+    look.azimuth_rad, look.altitude_rad = 2.0, 0.4
+    look.look_at(np.array([149.5, 99.5]), scene)
+    assert (look.azimuth_rad, look.altitude_rad) == pytest.approx((2.0, 0.4), abs=3e-6)
+    nowhere = SimpleNamespace(camera=SimpleNamespace(unit_vectors=lambda _: np.full(3, np.nan)))
+    look.look_at(np.zeros(2), nowhere)
+    assert look.azimuth_rad == pytest.approx(2.0, abs=3e-6)
+    # It begins with the aircraft's camera, and the border of its image is around its axis.
+    aircraft = simulator.scene(small.exposure.starting_at(start_s + 1.0))
+    look.begin(None)
+    assert (look.is_on, look.azimuth_rad) == (True, pytest.approx(2.0, abs=3e-6))
+    look.field_rad = 2.0
+    look.begin(aircraft)
+    assert look.field_rad == LookAround().field_rad
+    axis = ned_to_camera_matrix(aircraft.shutter[1:2])[2]
+    assert np.arcsin(-axis[2]) == pytest.approx(look.altitude_rad)
+    assert np.arctan2(axis[1], axis[0]) % (2 * pi) == pytest.approx(look.azimuth_rad % (2 * pi))
+    seen = look.of(simulator).scene(small.exposure.starting_at(start_s + 1.0))
+    outline = look.outline_px(simulator, seen)
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    np.testing.assert_allclose(middle, [154.5, 99.5], rtol=0, atol=12.0)
+    late = SimpleNamespace(exposure=SimpleNamespace(mid_utc_s=start_s + 99.0))
+    assert look.outline_px(simulator, late).shape == (0, 2)

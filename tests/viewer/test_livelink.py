@@ -1,6 +1,7 @@
 """What the viewer knows of a link and of a loaded flight, against doubles of each."""
 
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -389,3 +390,55 @@ def test_a_log_is_surveyed_once_for_its_settings(monkeypatch: pytest.MonkeyPatch
     assert [name for name, _, _ in begun] == ["a.bin", "b.bin", "b.bin"]
     assert [future.cancelled() for _, _, future in begun] == [False, True, False]
     finder.close()
+
+
+def test_a_survey_gives_choices_or_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    survey = SimpleNamespace(attitudes=[], gyros=1)
+    monkeypatch.setattr(Config, "survey_flight", lambda *_: (survey, "notes"))
+    assert loadedmodule._find(Path("a.bin"), Config()) == AttitudeChoices({}, has_gyros=True)
+
+    def fail(*_: object) -> None:
+        raise OSError("gone")
+
+    monkeypatch.setattr(Config, "survey_flight", fail)
+    assert loadedmodule._find(Path("a.bin"), Config()) == AttitudeChoices(error="gone")
+
+
+def test_settings_reach_simulator_head_and_overlays(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    sky = SimpleNamespace(sky=SimpleNamespace(catalogue="stars"))
+    monkeypatch.setattr(loadedmodule, "_with_settings", lambda *what: asked.append(what[1:]) or sky)
+    monkeypatch.setattr(loadedmodule, "Overlays", lambda catalogue: f"overlays of {catalogue}")
+    shown = loaded()
+    before = shown.config
+    shown.use(before)
+    assert asked == []
+    longer = before.override(**{"exposure.duration_s": 0.25})
+    shown.use(longer)
+    assert asked == [(before, longer)]
+    assert (shown.simulator, shown.config, shown.overlays, shown.head.exposure_section) == (
+        *(sky, longer, "overlays", longer.exposure),
+    )
+    other = replace(longer, sky=longer.sky.model_copy(update={"catalogue": "other.sqlite"}))
+    shown.use(other)
+    assert shown.overlays == "overlays of stars"
+
+
+def test_a_simulator_is_made_again_only_for_another_sky(
+    monkeypatch: pytest.MonkeyPatch, small: Config, log: Path
+) -> None:
+    simulator = small.simulator(small.open_flight(log))
+    made: list[Any] = []
+    monkeypatch.setattr(Config, "simulator", lambda _, flight: made.append(flight) or "made")
+    change = small.override(
+        **{"mount.yaw_deg": 12.0, "air.pressure_hpa": 990.0, "air.temperature_c": 3.0, "sky.bodies": True}
+    )
+    after = loadedmodule._with_settings(simulator, small, change)
+    assert made == []
+    assert after.stars is simulator.stars
+    assert (after.pressure_hpa, after.temperature_c, after.bodies, after.earthshine) == (990.0, 3.0, True, False)
+    assert after.mount == change.mount()
+    assert after.sensor.saturation_dn == 255
+    for keys in ({"sky.vmag_limit": 5.0}, {"sky.astrometry": "erfa" if small.sky.astrometry != "erfa" else "paper"}):
+        assert loadedmodule._with_settings(simulator, small, small.override(**keys)) == "made"
+    assert made == [simulator.flight] * 2

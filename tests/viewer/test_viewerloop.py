@@ -136,7 +136,10 @@ def test_a_script_shows_a_flight_and_reports_its_frames(viewer: Any) -> None:
         "renderer": "llvmpipe",
     }
     viewer.frames.clear()
+    draw, recorded = viewer.frame, []
+    viewer.frame = lambda elapsed_s=None: recorded.append(viewer.session.times.recording) or draw(elapsed_s)
     viewer.play(Script(play_s=0.099))
+    assert recorded == [False] * 4 + [True] * 5
     # Frames of 20 ms, and a sleep of none: five of them play.
     assert viewer.frames == [0.0] * 4 + [None] * 5
     assert (viewer.session.head.loop, viewer.session.head.playing) == (True, False)
