@@ -339,10 +339,10 @@ class Viewer:
             self._draw_for(script.play_s)
         else:
             until_s = time.perf_counter() + _TIMEOUT_S
-            while session.image.texture is None and time.perf_counter() < until_s:
+            while session.image.texture is None and time.perf_counter() < until_s and not self._is_closing:
                 self._draw_for(_LINK_SLEEP_S)
             if session.image.texture is None:
-                raise RenderError(session.status)
+                raise RenderError(session.status or "the window was closed before the first image of the link")
         self._screenshot_for(script)
         return (session.times.report() if session.scene is None else self._report()) | {"link": live.report()}
 

@@ -18,7 +18,7 @@ _TEXTS |= {"text_disabled": "({})", "separator_text": "--- {}"}
 
 
 class ScriptedImgui:
-    """Stands for the modules imgui and implot, and for the draw lists of all windows.
+    """Replaces the modules imgui and implot, and the draw lists of all windows.
 
     `lines`: all texts, controls, tooltips and plots in their order, a control in a disabled part with ``off``;
     `calls`: all calls, those of drawing, too; `answers`: new values by label, True for a click; `closed`: names of
@@ -362,7 +362,7 @@ class _Module:
 def scripted(
     monkeypatch: pytest.MonkeyPatch, *modules: ModuleType, drawn: ScriptedImgui | None = None
 ) -> ScriptedImgui:
-    """Return a double that stands for imgui and implot in some modules, and in the theme."""
+    """Return a double that replaces imgui and implot in some modules, and in the theme."""
     drawn = drawn or ScriptedImgui()
     for module in (theme, *modules):
         for name, double in (("imgui", drawn), ("implot", _Module(drawn, imgui_bundle.implot))):

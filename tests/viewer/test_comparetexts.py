@@ -82,7 +82,7 @@ def test_a_fit_is_reported_and_applied(drawn: ScriptedImgui) -> None:
     drawn.answers = {"Discard": True}
     panel.draw(session)
     assert (comparison.offset_s, comparison.fit, len(changed)) == (0.625, None, 1)
-    # With nothing to fit there is no fit; without images, a flight or a way to fit there is no panel.
+    # With nothing to fit there is no fit; without images, a flight or a function that fits there is no panel.
     drawn.take()
     drawn.answers = {"camera clock": True}
     panel.draw(session)

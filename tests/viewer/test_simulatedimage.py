@@ -96,6 +96,8 @@ def image(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_an_image_is_drawn_when_it_is_asked_for_and_once(image: Any) -> None:
     own = simulator()
     first = request(5.0, own, 3)
+    assert not image.is_noiseless
+    assert not ImageRequest("exposure", None, own).noiseless
     assert (image.size, image.has_image, image.texture, image.pixels, image.simulator) == (
         (0, 0),
         False,
@@ -132,6 +134,9 @@ def test_an_image_is_drawn_when_it_is_asked_for_and_once(image: Any) -> None:
     image.renderer.stacked = None
     image.update(request(11.0, own), playing=False)
     assert image.tested is image.pixels
+    kept, image._texture = image._texture, None
+    assert image.pixels is None
+    image._texture = kept
     image.clear()
     assert (image.scene, image.texture, image.has_image, image.tested) == (None, None, False, None)
 
@@ -157,10 +162,12 @@ def test_an_image_that_is_being_drawn_is_shown_when_its_request_comes_again(imag
     assert image.update(request(8.0, own), playing=False)
     assert (image.scene.name, image._developing) == ("at 8", None)
     assert not image.update(image._drawn, playing=False)
-    # Asked for again before it is finished.
-    image._developing = simulated._Drawing(request(9.0, own), image.scene, is_developed=True)
-    assert image.update(image._drawn, playing=False)
-    assert image._developing is None
+    # Asked for again before it is finished: nothing is composed.
+    composed = list(own.composed)
+    again = request(9.0, own)
+    image._developing, image._drawn = simulated._Drawing(again, image.scene, is_developed=True), again
+    assert image.update(again, playing=False)
+    assert (image._developing, own.composed) == (None, composed)
 
 
 def test_playing_shows_each_image_a_frame_later(image: Any) -> None:
@@ -227,12 +234,13 @@ def test_a_scene_is_composed_again_only_if_more_than_its_noise_changes(image: An
     noisier = simulator(flight=own.flight, sensor=Sensor("a2"), composed=own.composed)
     image.update(ImageRequest(exposure, None, noisier), playing=False)
     assert (image.scene.name, own.composed) == ("at 5 with a2", [5.0])
-    # Skies with the same catalogue and models are equal.
+    # A sky equals another one with the same catalogue and models.
     same = {"catalogue": "bsc5", "astrometry": "erfa", "dut1_s": 0.0, "refraction": True}
     equal = [SimpleNamespace(**same, name=name) for name in "ab"]
     assert simulated._are_equal(*equal)
     for key, value in (("catalogue", "x"), ("astrometry", "paper"), ("dut1_s", 0.1), ("refraction", False)):
         assert not simulated._are_equal(equal[0], SimpleNamespace(**same | {key: value}))
+    assert simulated._are_equal(1010.5, float("1010.5"))
     assert not simulated._are_equal(equal[0], "sky")
     assert not simulated._are_equal("sky", equal[0])
     others = [{"sensor": Sensor("b1")}, {"camera": "another"}, {"mount": "another"}, {"pressure_hpa": 990.0}]
