@@ -289,7 +289,7 @@ def test_tiles_are_interpolated_after_a_median_of_three() -> None:
         padded = np.pad(some, 1, mode="edge")
         around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(count, 4, 9)
         expected = np.median(around, axis=2) if filtered else some
-        # Half-way between the middles of two tiles it is their mean.
+        # Between the middles of two tiles it is their mean.
         assert spread[5, 63:65].mean() == pytest.approx(expected[0, :2].mean(), rel=1e-6)
         assert spread[63:65, 5].mean() == pytest.approx(expected[:2, 0].mean(), rel=1e-6)
         assert spread[5, 127:129].mean() == pytest.approx(expected[0, 1:3].mean(), rel=1e-6)
