@@ -213,7 +213,7 @@ def test_an_image_without_stars_has_its_sky() -> None:
 def test_the_elongation_of_a_field_is_that_of_its_bright_stars(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(9)
     xy = np.array([(x, y) for x in range(20, 200, 26) for y in (24, 54, 84)], float)
-    peak = np.where(np.arange(21) % 3, 100.0, 30.0)
+    peak = np.where(np.arange(21) % 3, 60.0 + 9 * np.arange(21)[::-1] % 100, 30.0)
     image = image_of(20 + rng.normal(0, 2.0, SHAPE) + draw_stars(SHAPE, xy, peak, 1.4))
     asked = []
 
@@ -229,7 +229,18 @@ def test_the_elongation_of_a_field_is_that_of_its_bright_stars(monkeypatch: pyte
         assert detect_stars(image).drawn_out_px == expected
         assert len(asked) == count
     # Those of twenty times the noise, the brightest first.
-    assert len(asked[0]) == 14
+    nearest = [int(np.hypot(*(xy - at).T).argmin()) for at in asked[0]]
+    assert set(nearest) == set(np.flatnonzero(np.arange(21) % 3).tolist())
+    assert (np.diff(peak[nearest]) < 8).all()
+
+
+def test_saturated_stars_are_sorted_by_the_size_of_their_patches() -> None:
+    xy = np.array([[40.0, 60.0], [100.0, 60.0], [160.0, 60.0], [70.0, 22.0], [130.0, 98.0]])
+    peak = np.array([900.0, 6000.0, 2500.0, 150.0, 200.0])
+    pixels = 20 + np.random.default_rng(3).normal(0, 2.0, SHAPE) + draw_stars(SHAPE, xy, peak, 1.4)
+    found = detect_stars(image_of(pixels))
+    assert np.rint(found.xy_px / 10).astype(int).tolist() == [[10, 6], [16, 6], [4, 6], [13, 10], [7, 2]]
+    assert found.saturated.tolist() == [True] * 3 + [False] * 2
 
 
 def test_clipping_begins_with_the_quartiles_and_ends_after_five_rounds() -> None:
@@ -278,7 +289,7 @@ def test_tiles_are_interpolated_after_a_median_of_three() -> None:
         padded = np.pad(some, 1, mode="edge")
         around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(count, 4, 9)
         expected = np.median(around, axis=2) if filtered else some
-        # Half-way between the middles of two tiles it is their mean.
+        # Between the middles of two tiles it is their mean.
         assert spread[5, 63:65].mean() == pytest.approx(expected[0, :2].mean(), rel=1e-6)
         assert spread[63:65, 5].mean() == pytest.approx(expected[:2, 0].mean(), rel=1e-6)
         assert spread[5, 127:129].mean() == pytest.approx(expected[0, 1:3].mean(), rel=1e-6)
