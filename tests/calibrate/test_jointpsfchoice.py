@@ -176,3 +176,69 @@ def test_light_beyond_four_deviations_of_a_filtered_stamp_does_not_count(factor:
         assert (hidden.min(axis=0).tolist(), hidden.max(axis=0).tolist(), len(hidden)) == ([2, 13], [6, 17], 25)
     else:
         assert len(hidden) == 0
+
+
+def lit_stamps(count: int, seed: int) -> StarStamps:
+    """Return stamps with the light of growing stars of 1.3 px, a sky, and noise."""
+    stamps = stamps_of(count, seed=seed)
+    rng = np.random.default_rng(seed)
+    flux = rng.uniform(200, 1500, count)[:, np.newaxis, np.newaxis]
+    light = flux * stamps.profiles(PointSpread(psf_growth=0.4), 1.3) + 2.5
+    return replace(stamps, values_dn=light + np.sqrt(stamps.variance_dn2) * rng.standard_normal(light.shape))
+
+
+NAMES = ("sigma", "growth")
+
+
+def test_the_covariance_is_that_of_the_linearised_jackknife() -> None:
+    """Each star is left out of the normal equations, with its position projected out by orthogonal columns."""
+    stamps, shape = lit_stamps(7, 20), _Shape(1.28, growth=0.35)
+    weight = jointpsf._weights(stamps, shape, jointpsf._faint_fluxes(stamps, shape))
+    residual, by_position = jointpsf._position_slopes(stamps, shape, weight)
+    slopes = jointpsf._slopes(stamps, NAMES, shape, weight)
+    information, score = [], []
+    for k in range(7):
+        q, _ = np.linalg.qr(by_position[k])
+        free = np.eye(len(q)) - q @ q.T
+        information.append(slopes[k].T @ free @ slopes[k])
+        score.append(slopes[k].T @ free @ residual[k, :, 0])
+    steps = [np.linalg.solve(np.sum(information, axis=0) - information[k], score[k]) for k in range(7)]
+    expected = np.cov(np.transpose(steps), bias=True) * 6
+    np.testing.assert_allclose(jointpsf._covariance(stamps, NAMES, shape), expected, rtol=1e-5)
+
+
+def test_the_bias_of_fitted_positions_is_box_s_expansion() -> None:
+    """Half of each position's variance times the second derivative of the light is missing in the fit."""
+    stamps, shape = lit_stamps(6, 21), _Shape(1.28, growth=0.35)
+    weight = jointpsf._weights(stamps, shape, jointpsf._faint_fluxes(stamps, shape))
+    flux = jointpsf._residuals(stamps, shape, weight)[1]
+    step = 0.01
+    missing = np.zeros_like(stamps.values_dn)
+    for axis in (0, 1):
+        ahead, here, behind = (
+            replace(stamps, xy_px=stamps.xy_px + s * step * np.eye(2)[axis]).profiles(shape.psf, shape.sigma_px)
+            for s in (1, 0, -1)
+        )
+        for k in range(6):
+            slope = flux[k] * (ahead[k] - behind[k]) / (2 * step)
+            variance = 1 / (weight[k] * slope**2).sum()
+            missing[k] += variance / 2 * flux[k] * (ahead[k] - 2 * here[k] + behind[k]) / step**2
+    slopes = jointpsf._slopes(stamps, NAMES, shape, weight)
+    normal = sum(slopes[k].T @ slopes[k] for k in range(6))
+    by = -sum(slopes[k].T @ (np.sqrt(weight[k]) * missing[k]).ravel() for k in range(6))
+    shift = np.linalg.solve(normal, by)
+    assert (np.abs(shift) < np.sqrt(np.diag(np.linalg.inv(normal)))).all()
+    found = jointpsf._without_position_bias(stamps, NAMES, shape)
+    moved = found.vector(NAMES) - shape.vector(NAMES)
+    np.testing.assert_allclose(moved, shift, rtol=0.03)
+    assert np.abs(shift).min() > 1e-5
+
+
+def test_the_cost_of_a_fit_is_the_sum_of_its_squared_residuals() -> None:
+    stamps = lit_stamps(6, 22)
+    shape, moved, cost = jointpsf._fitted(stamps, NAMES, _Shape(1.4, growth=0.2))
+    weight = jointpsf._weights(moved, shape, jointpsf._faint_fluxes(moved, shape))
+    residual, _ = jointpsf._residuals(moved, shape, weight)
+    # The weights of the last round differ by their fluxes only.
+    assert cost == pytest.approx((residual**2).sum(), rel=0.02)
+    assert cost == pytest.approx(6 * (169 - 4), rel=0.15)
