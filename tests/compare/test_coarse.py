@@ -66,6 +66,9 @@ def test_the_start_of_a_clock_is_the_delay_of_the_largest_correlation(monkeypatc
     assert steps == [(k, 7) for k in range(1, 8)]
     assert made == [(3, "simulator", 7.0)]
     del tried[:]
+    likely_start(images(3), "simulator", search_px=7.0, search_s=0.0376)
+    np.testing.assert_allclose(tried, 0.0094 * np.arange(-4, 5), rtol=0, atol=1e-9)
+    del tried[:]
     assert likely_start(images(3), "simulator", search_px=7.0, search_s=0.0)[1] == 0.0
     assert tried == [0.0]
     del tried[:]
@@ -106,6 +109,9 @@ def test_of_likely_delays_that_of_the_smallest_shift_is_taken(monkeypatch: pytes
     del tried[:]
     values |= dict.fromkeys(range(-20000, 20000), 1.0)
     shifts |= dict.fromkeys(range(-20000, 20000), 1.0)
+    likely_delay_s(images(1)[0], "simulator", search_px=5.0, search_s=0.201)
+    np.testing.assert_allclose(np.unique(tried), 0.0402 * np.arange(-5, 6), rtol=0, atol=1e-9)
+    del tried[:]
     likely_delay_s(images(1)[0], "simulator", search_px=5.0, search_s=100.0)
     np.testing.assert_allclose(np.unique(tried), np.arange(-200, 201) / 2, rtol=0, atol=1e-9)
 

@@ -313,8 +313,9 @@ def test_a_strip_of_more_than_twelve_values_may_be_bent(last_px: float, is_bent:
 def test_the_noise_of_a_strip_is_that_at_its_centre_on_the_image(x: float, y: float, row: int, column: int) -> None:
     image = sky(np.full((60, 80), 50.0))
     image.noise_dn[:] = 1 + np.arange(80) + 100 * np.arange(60)[:, np.newaxis]
-    strip = _Strip.around(image, np.array([x, y]), np.array([0.6, 0.8]), np.array([-0.8, 0.6]), (-20.0, 20.0), SIGMA_PX)
-    window = np.exp(-(np.arange(-5, 6) ** 2) / (2 * (1.5 * SIGMA_PX) ** 2))
+    strip = _Strip.around(image, np.array([x, y]), np.array([0.6, 0.8]), np.array([-0.8, 0.6]), (-20.0, 20.0), 1.3)
+    # Three sigma are 3.9 px.
+    window = np.exp(-(np.arange(-4, 5) ** 2) / (2 * (1.5 * 1.3) ** 2))
     assert strip.noise_dn == pytest.approx((1 + column + 100 * row) * np.sqrt((window**2).sum()))
 
 

@@ -8,7 +8,14 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.sensor import Sensor
 from glstar.compare import prediction
-from glstar.compare.prediction import ExposedPaths, Trails, offsets_and_directions, predicted_trails
+from glstar.compare.prediction import (
+    ExposedPaths,
+    Trails,
+    _trail_jacobians,
+    offsets_and_directions,
+    predicted_trails,
+)
+from tests.compare.test_pathshapes import trails
 from tests.support.scenes import camera
 
 LENS = camera(220, 180, 300.0)
@@ -117,9 +124,20 @@ def test_a_stack_is_saturated_by_one_short_exposure(stack: str, factor: int, mon
 
 
 def test_a_direction_is_from_the_first_to_the_last_point() -> None:
-    # A path that turns back in its first and its last step.
-    x = np.array([0.0, -2.0, 5.0, 11.0, 1.0])
+    # A path that turns back after its first and before its last step.
+    x = np.array([0.0, 3.0, -5.0, -11.0, 1.0])
     forth = np.column_stack([x, 0.5 * x])[:, np.newaxis]
     offset, along = offsets_and_directions(np.concatenate([forth, forth[::-1]], axis=1))
     np.testing.assert_allclose(along, np.array([[2, 1], [-2, -1]]) / np.sqrt(5), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(offset[:, 0, 0], x - 3, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(offset[:, 0, 0], x + 2.4, rtol=0, atol=1e-12)
+
+
+def test_two_samples_of_each_short_exposure_have_no_rate() -> None:
+    xy_px = MIDDLES[:2] + np.linspace(-0.5, 0.5, 6)[:, np.newaxis, np.newaxis] * STEP
+    paths = ExposedPaths(LENS.unit_vectors(xy_px), 0.01, EXPOSED[:2], np.linspace(-0.5, 0.5, 6), pieces=3)
+    found = _trail_jacobians(
+        SimpleNamespace(camera=LENS), paths, np.array([0, 1]), trails(list(np.swapaxes(xy_px, 0, 1)))
+    )
+    assert not found[..., 3:5].any()
+    # A turn about the down axis, to the right, moves stars to the left.
+    assert found[0, 0, 1] == pytest.approx(-300 * (1 + ((60 - 109.5) / 300) ** 2), rel=2e-3)

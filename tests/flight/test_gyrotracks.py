@@ -247,3 +247,18 @@ def test_attitudes_and_gyros_are_compared_over_the_time_that_they_share() -> Non
     paused = GyroAlignment.of(ATTITUDE_S[which], other[which], GYRO_S, rates)
     np.testing.assert_array_equal(paused.C_body_gyro, np.eye(3))
     assert paused.residual_deg_per_s < 0.05
+
+
+@pytest.mark.parametrize(("part", "is_rotated"), [(0.104, True), (0.096, False)])
+def test_a_rotation_of_gyros_needs_turns_about_a_second_axis(part: float, is_rotated: bool) -> None:
+    """Two oscillations about two axes, of which one has the given part of the other."""
+    body = np.stack([np.cos(np.pi / 2 * GYRO_S), part * np.sin(np.pi / 2 * GYRO_S), 0 * GYRO_S], axis=-1)
+    # Attitudes by integration, at every twentieth reading from time 0 on.
+    q = GyroTrack.from_rates(GYRO_S, body).q_body_start[20::20]
+    t_s = GYRO_S[20::20]
+    mean = chunks(t_s[:81], q[:81])
+    ratio = np.linalg.svd(mean, compute_uv=False)
+    assert ratio[1] / ratio[0] == pytest.approx(part, rel=0.03)
+    C = Rotation.from_rotvec([0.0, 0.0, 0.6]).as_matrix()
+    found = GyroAlignment.of(t_s[:81], q[:81], GYRO_S, body @ C)
+    assert (found.angle_deg > 30) == is_rotated

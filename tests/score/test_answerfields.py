@@ -102,6 +102,9 @@ def test_a_line_has_every_field_of_an_answer() -> None:
     nothing = (plain.C_camera_icrs, plain.ellipse, plain.stars, plain.run_time_s, plain.utc_s, plain.replaces)
     assert nothing == (None, None, None, None, None, False)
     assert parsed(frame=1, **PLACE, **ELLIPSE).ellipse.confidence == 0.95
+    for azimuth_deg in (-400.0, 0.0, 50_000.0):
+        turned = parsed(frame=1, **PLACE, **ELLIPSE | {"ellipse_azimuth_deg": azimuth_deg}).ellipse
+        assert turned.azimuth_rad == pytest.approx(radians(azimuth_deg))
     assert parsed(frame=1, stars=[[1, 2, 0]]).stars.at == "centroid"
     np.testing.assert_allclose(
         parsed(frame=1, ra_deg=120, dec_deg=-20, roll_deg=40).C_camera_icrs,
@@ -172,6 +175,10 @@ def test_a_line_has_every_field_of_an_answer() -> None:
         (
             {"frame": 1, "stars": [[1, 2, 3], [1, 2, "x" * 99]]},
             f"line 4: {'x' * 60} is no star_id, which is a whole number, or null where unknown",
+        ),
+        (
+            {"frame": 1, "stars": [[1, 2, -2]]},
+            "line 4: -2 is no star_id, which is a whole number, or null where unknown",
         ),
         (
             {"frame": 1, "stars": [[1, 2, 3], 7]},

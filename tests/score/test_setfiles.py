@@ -3,6 +3,7 @@
 import hashlib
 import json
 import platform
+import subprocess
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 from glstar import __version__
 from glstar.errors import ConfigError, ExportError, GlstarError
 from glstar.export.imagefiles.formats import encode
-from glstar.score import runs
+from glstar.score import runs, sets
 from glstar.score.frames import Outcome
 from glstar.score.metrics import BINS, summarized
 from glstar.score.runs import Solver, _result, _scored, read_result
@@ -249,7 +250,8 @@ def test_a_run_of_a_solver_writes_its_result(tmp_path: Path, monkeypatch: pytest
     solver = SimpleNamespace(command=("solve",), name="s", version="", answer=answered)
     (tmp_path / "out").mkdir()
     (tmp_path / "out/a.jsonl").write_text("old")
-    result, failures = runs.run_solver(solver, made(tmp_path), tmp_path / "out", timeout_s=3.5, on_part=began.append)
+    made_there, output = made(tmp_path), tmp_path / "out"
+    result, failures = runs.run_solver(solver, made_there, output, timeout_s=3.5, on_part=began.append)
 
     assert began == ["a", "b"]
     assert asked[0] == (tmp_path / "frames/a", tmp_path / "out/a.jsonl", tmp_path / "out/a.log", 3.5)
@@ -262,3 +264,77 @@ def test_a_run_of_a_solver_writes_its_result(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(ExportError) as caught:
         runs.run_solver(Solver(("nothing",), "n", ""), made(tmp_path), tmp_path, timeout_s=1.0, on_part=began.append)
     assert str(caught.value) == "nothing: is no program; give the command as you would type it, in quotes"
+
+
+@pytest.mark.parametrize(
+    ("status", "printed", "reason"),
+    [
+        (0, "all well", None),
+        (3, "first\n  the cause \n\n", "ended with status 3: the cause"),
+        (1, " \n", "ended with status 1"),
+        (subprocess.TimeoutExpired("solve", 2.5), "", "was stopped after 2.5 s"),
+        (FileNotFoundError(2, "No such file"), "", "cannot be started (No such file)"),
+    ],
+)
+def test_a_program_fails_with_its_last_line(status, printed, reason, tmp_path, monkeypatch) -> None:
+    asked = {}
+
+    def run(words, *, stdout, **options):
+        asked.update(options, words=words)
+        stdout.write(printed.encode())
+        if isinstance(status, Exception):
+            raise status
+        return SimpleNamespace(returncode=status)
+
+    monkeypatch.setattr(runs.subprocess, "run", run)
+    solver = Solver(("solve", "-x"), "name", "")
+    assert solver.answer(tmp_path / "frames", tmp_path / "a.jsonl", tmp_path / "a.log", 2.5) == reason
+    words = ["solve", "-x", str(tmp_path / "frames"), str(tmp_path / "a.jsonl")]
+    assert asked == {"words": words, "stderr": subprocess.STDOUT, "timeout": 2.5, "check": False}
+    assert (tmp_path / "a.log").read_text() == printed
+
+
+def test_each_part_of_a_set_is_exported_with_the_files_of_solvers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = []
+    directory = tmp_path / "new/set"
+    config = SimpleNamespace(synthetic=SimpleNamespace(description="flight.toml"))
+    monkeypatch.setattr(sets.Config, "load", lambda path: done.append(("config", path.read_text())) or config)
+    monkeypatch.setattr(sets, "blind_phase_s", lambda _: 4.5)
+
+    def prepare(used, flights, where, options):
+        done.append(("prepared", flights, used, where, options))
+        job = SimpleNamespace(directory=where)
+        job.run = lambda executor, *, on_frame: done.append(("run", executor, on_frame))
+        return job
+
+    monkeypatch.setattr(sets, "prepare_data_set", prepare)
+    monkeypatch.setattr(sets, "write_nav", lambda job, used, found: done.append(("nav", job.directory, used, found)))
+    monkeypatch.setattr(sets, "estimates", lambda used, flights: ("estimates", used, flights))
+    monkeypatch.setattr(sets, "write_splits", lambda where, rule: done.append(("splits", where, rule)))
+    monkeypatch.setattr(sets, "write_card", lambda where: done.append(("card", where)))
+    monkeypatch.setattr(sets, "publish_blind", lambda job, where: done.append(("blind", job.directory, where)))
+    monkeypatch.setattr(sets, "sums_of", lambda where: PartSums(len(where.name), where.name, 5))
+    executor, parts = SimpleNamespace(driver="llvm"), []
+
+    whole = sets.make_set(RECIPE, "small", directory, executor, on_part=parts.append, on_frame=print)
+
+    assert parts == ["a", "b"]
+    first, second = RECIPE.parts("small")
+    truth, flights = directory / "truth/a", [Path("flight.toml")]
+    assert done[:7] == [
+        ("config", first.toml),
+        ("prepared", flights, config, truth, sets.ExportOptions(4.5, frames=3, seed=77)),
+        ("run", executor, print),
+        ("nav", truth, config, ("estimates", config, flights)),
+        ("splits", truth, sets.SplitRule((0.6, 0.2, 0.2), 77, is_exact=True)),
+        ("card", truth),
+        ("blind", truth, directory / "frames/a"),
+    ]
+    assert done[7] == ("config", second.toml)
+    assert (directory / "recipes/b.toml").read_text() == second.toml
+    assert whole == MadeSet(
+        directory, "night", "small", 2, "llvm", __version__, {"a": PartSums(1, "a", 5), "b": PartSums(1, "b", 5)}
+    )
+    assert MadeSet.read(directory) == whole
