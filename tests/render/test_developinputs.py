@@ -221,3 +221,70 @@ def test_a_program_of_the_display_is_compiled_once(monkeypatch: pytest.MonkeyPat
     assert sorted(fragments for kind, fragments, _ in compiled if kind == "released") == [
         "display.frag", "display.frag", "display.frag", "processed.frag",
     ]  # fmt: skip
+
+
+class Readable(fakegl.Resource):
+    """A framebuffer whose attachments have some content."""
+
+    content: np.ndarray
+
+    def read_into(self, array: np.ndarray, **settings: Any) -> None:
+        self.calls.append(("read_into", (array.shape,), settings))
+        array[:] = self.content
+
+
+@pytest.mark.parametrize("along", ["columns", "rows"])
+def test_lines_in_which_charge_moves_are_drawn_again(along: str) -> None:
+    # 40 px in three texels of 16; charge moves in the second and third of them, or in the rows 1, 3 and 4.
+    largest = np.full((5, 3), 50.0, np.float32)
+    largest[[1, 3, 4], [1, 2, 1]] = 101.0
+    largest[0, 0] = 100.0
+    by_columns = along == "columns"
+    chosen = [4, 5, 6, 7, 8, 9] if by_columns else [1, 3, 4]
+    shape = (5, 6, 4) if by_columns else (3, 10, 4)
+    signal = np.arange(np.prod(shape), dtype=np.float32).reshape(shape) + 101
+    context = fakegl.Context()
+    contents = [largest, signal]
+
+    def framebuffer(attachments: list[Any]) -> Readable:
+        target = Readable("framebuffer", attachments)
+        target.content = contents[sum(made.kind == "framebuffer" for made in context.made)]
+        context.made.append(target)
+        return target
+
+    context.framebuffer = framebuffer
+    image: Any = SimpleNamespace(size=(3, 5), height=5, color_attachments=("pixels",), use=lambda: None)
+    drawn: list[tuple[Any, Any, dict[str, Any], Any]] = []
+
+    def developed(target: Any, output: Any, textures: Any = develop._NO_TEXTURES, rectangles: Any = ()) -> None:
+        drawn.append((target, output, dict(textures), rectangles))
+
+    transfer = ChargeTransfer(along, 100.0, lambda lines: lines + 0.25)
+    develop.ChargeTransferPass(context).draw(transfer, 40, image, developed)
+    lines = 1 if by_columns else 2
+    first, second, last = drawn
+    assert [one[1] for one in drawn] == [develop.DevelopOutput(k, lines) for k in (1, 2, 0)]
+    assert (last[0], first[2], first[3]) == (image, {}, ())
+    found, whole = first[0], second[0]
+    assert found.arguments[0][0] == "pixels"
+    assert [(made.arguments[0], made.arguments[1]) for made in (found.arguments[0][1], whole.arguments[0][0])] == [
+        ((3, 5), 1), (shape[1::-1], 4),
+    ]  # fmt: skip
+    assert found.calls[0] == ("read_into", ((5, 3),), {"components": 1, "attachment": 1, "dtype": "f4"})
+    assert whole.calls[0] == ("read_into", (shape,), {"components": 4, "dtype": "f4"})
+    numbers = second[2]["chosen_lines"]
+    assert (numbers.arguments[0], numbers.arguments[2].tolist()) == ((len(chosen), 1), chosen)
+    np.testing.assert_array_equal(last[2]["moved_dn"].written(), signal + np.float32(0.25))
+    assert last[2]["moved_dn"] is whole.arguments[0][0]
+    # The number of each line among the chosen ones, where it is one of them.
+    positions = last[2]["number_of_line"].arguments[2]
+    assert positions[chosen].tolist() == list(range(len(chosen)))
+    assert last[3] == ([(1, 0, 2, 5)] if by_columns else [(0, 1, 3, 1), (0, 3, 3, 2)])
+    assert [made.releases for made in context.made] == [1] * len(context.made)
+    assert all(made.filter == (moderngl.NEAREST, moderngl.NEAREST) for made in context.made if made.kind == "texture")
+    # Without a pixel above the full well, the image is drawn once.
+    contents[0] = np.minimum(largest, 100)
+    context.made.clear()
+    drawn.clear()
+    develop.ChargeTransferPass(context).draw(transfer, 40, image, developed)
+    assert len(drawn) == 1
