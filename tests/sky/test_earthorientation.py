@@ -194,8 +194,8 @@ def table_line(mjd: str, *, final: tuple[str, str, str] | None, rapid: tuple[str
 def small_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> bytes:
     """Install a table of four days around the leap second at the end of 2016, and a day without a prediction."""
     content = "\n".join([
-        table_line("57753.00", final=("0.1234567", "0.2345678", "-0.4080001"), rapid=("9.0", "9.0", "9.0")),
-        table_line("57754.00", final=("-.0234567", "0.3345678", "0.5910001"), rapid=("9.0", "9.0", "9.0")),
+        table_line("57753.00", final=("0.1234567", "0.2345678", "-0.40800013"), rapid=("9.0", "9.0", "9.0")),
+        table_line("57754.00", final=("-.02345671", "-.33456782", "0.5910001"), rapid=("9.0", "9.0", "9.0")),
         table_line("57755.00", final=None, rapid=("12.345678", "-2.345678", "-0.6123456")),
         table_line("57757.00", final=None, rapid=("0.2", "0.4", "0.5800000")),
         table_line("57758.00", final=None, rapid=("", "", "")),
@@ -216,11 +216,11 @@ def test_final_values_come_before_rapid_ones_and_ut1_is_interpolated_without_lea
         return [earth.x_pole_rad / ARCSEC, earth.y_pole_rad / ARCSEC, earth.dut1_s]
 
     assert has_earth_orientation()
-    assert found("2016-12-31") == pytest.approx([0.1234567, 0.2345678, -0.4080001], rel=0, abs=1e-10)
-    # UT1 - TAI falls from -36.4080001 to -36.4089999 s during that day; UTC is 36 s behind TAI until its end.
-    third = [(2 * 0.1234567 - 0.0234567) / 3, (2 * 0.2345678 + 0.3345678) / 3, -0.4080001 - 0.0009998 / 3]
+    assert found("2016-12-31") == pytest.approx([0.1234567, 0.2345678, -0.40800013], rel=0, abs=1e-10)
+    # UT1 - TAI falls from -36.40800013 to -36.4089999 s during that day; UTC is 36 s behind TAI until its end.
+    third = [(2 * 0.1234567 - 0.02345671) / 3, (2 * 0.2345678 - 0.33456782) / 3, -0.40800013 - 0.00099977 / 3]
     assert found("2016-12-31T08:00:00") == pytest.approx(third, rel=0, abs=1e-10)
-    assert found("2017-01-01") == pytest.approx([-0.0234567, 0.3345678, 0.5910001], rel=0, abs=1e-10)
+    assert found("2017-01-01") == pytest.approx([-0.02345671, -0.33456782, 0.5910001], rel=0, abs=1e-10)
     assert found("2017-01-02") == pytest.approx([12.345678, -2.345678, -0.6123456], rel=0, abs=1e-10)
     middle = [(12.345678 + 0.2) / 2, (0.4 - 2.345678) / 2, (0.58 - 0.6123456) / 2]
     assert found("2017-01-03") == pytest.approx(middle, rel=0, abs=1e-10)

@@ -120,6 +120,7 @@ def test_the_zodiacal_light_has_each_number_of_the_published_table():
         np.testing.assert_allclose(found, rows[:, 1:], rtol=1e-9)
     # Nearer to the Sun it is that at 15 deg; between nodes its logarithm is linear.
     np.testing.assert_allclose(zodiacal_s10(np.deg2rad([3.0, -14.0]), np.deg2rad([5.0, 10.0])), [5300, 2690], rtol=1e-9)
+    assert zodiacal_s10(np.deg2rad(17.5), 0.0) == pytest.approx(np.sqrt(9000 * 5000), rel=1e-9)
     weights = {(45, 30): 0.8 * 0.6, (60, 30): 0.2 * 0.6, (45, 45): 0.8 * 0.4, (60, 45): 0.2 * 0.4}
     numbers = {(45, 30): 195, (60, 30): 143, (45, 45): 130, (60, 45): 105}
     expected = np.exp(sum(weight * np.log(numbers[at]) for at, weight in weights.items()))
