@@ -13,7 +13,7 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion import pointing as pointing_module
 from glstar.render.motion.pointing import Pointing
 from glstar.render.motion.starpaths import view_limit_rad
-from glstar.render.scene.culling import StarCuller
+from glstar.render.scene.culling import StarCuller, _outward_normals
 from tests.support.scenes import camera, star_field
 
 LENS = camera(320, 240, 300.0)
@@ -171,3 +171,15 @@ def test_stars_near_the_limit_of_a_lens_touch_by_their_steps() -> None:
     culler = StarCuller(star_field(direction, np.ones(2)), lens, Sensor())
     touches, _, _ = culler._steps(pointing, np.full(2, 0.5), np.arange(2), np.full(2, 3.0), 0.2)
     assert touches.tolist() == [True, False]
+
+
+def test_the_sides_of_the_image_are_planes_through_its_border() -> None:
+    normals = _outward_normals(LENS)
+    top, right, bottom, left = (
+        LENS.unit_vectors(at) for at in ([(30.0, -0.5), (300.0, -0.5)], [(319.5, 20.0), (319.5, 230.0)],
+                                         [(30.0, 239.5), (300.0, 239.5)], [(-0.5, 20.0), (-0.5, 230.0)])
+    )  # fmt: skip
+    for rays in (top, right, bottom, left):
+        outside = normals @ rays.T
+        np.testing.assert_allclose(outside.max(axis=0), 0.0, rtol=0, atol=1e-12)
+        assert np.count_nonzero(np.abs(outside) < 1e-12) == 2

@@ -120,3 +120,26 @@ def test_bodies_near_the_image_are_discs_and_the_others_points(
     alone = one._body_sources(path, ADELAIDE, pointing[1:2], np.zeros(0), analytic=analytic)
     assert asked["near"] == [False, False, True]
     assert alone[1] == 4.5
+
+
+def test_bodies_of_analytic_trails_are_those_of_their_segments(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = simulator_of()
+    exposure = Exposure(NIGHT_UTC_S + 1.0, 0.5)
+    path = one._exposure_motion(exposure)
+    asked = []
+
+    def sources(_self: Simulator, _path: object, *of: object, analytic: bool) -> tuple[None, float]:
+        asked.append((*of, analytic))
+        return None, 0.0
+
+    monkeypatch.setattr(Simulator, "_body_sources", sources)
+    scene = one._from_segments(path)
+    ((site, pointing, fraction, analytic),) = asked
+    assert (site, analytic) == (path.shutter.site, True)
+    assert pointing is path.drawn_segments.pointing
+    np.testing.assert_allclose(fraction, path.half_fractions(path.drawn_segments), rtol=1e-12)
+    assert scene.exposure == replace(exposure, trail="analytic")
+    assert scene.draw_list.index.tolist() == path.touching.integrated(exposure.faintest_dn).index.tolist()
+    assert scene.listed.index.tolist() == path.touching.listed.index.tolist()
+    np.testing.assert_array_equal(scene.q_body_ned, path.shutter.q_body_ned[1])
+    assert scene.q_aircraft_ned is None

@@ -19,6 +19,7 @@ from glstar.render.scene import clouds
 from glstar.render.scene.attenuation import Attenuation, StarScintillation
 from glstar.render.scene.bodies import centre_source, disc_sources
 from glstar.render.scene.clouds import CloudCover, cloud_sheet, horizontal_axes, sheet_crossing
+from glstar.render.scene.culling import DrawList, _while_seen
 from glstar.render.scene.occlusion import NEVER, divided, rise_and_set
 from glstar.render.scene.transmission import Sources, Transmission
 from glstar.sky.air.extinction import Scintillation
@@ -254,3 +255,29 @@ def test_a_disc_of_too_many_sources_is_refused_and_a_centre_is_one_source() -> N
     assert centre.stars.direction_eq.tolist() == [[0.0, 0.0, 1.0]]
     assert centre.stars.vmag.tolist() == [-10.0]
     assert (centre.draw_list.index.tolist(), centre.draw_list.truncation_radius_px.tolist()) == ([0], [0.0])
+
+
+def test_stars_that_set_at_the_last_time_are_followed_below_the_horizon() -> None:
+    pointing = replace(turning_zenith(np.arange(5) / 4, 0.4), refraction_scale=0.0)
+    last = pointing.zenith_eq[-1]
+    level = unit(np.cross([0.0, 1.0, 0.0], last))
+    setting = unit(np.array([side * level - (0.005 - pointing.sine_horizon) * last for side in (1.0, -1.0)]))
+    up = pointing.heights(setting) >= 0
+    chosen = setting[[row.tolist() == [True, True, True, True, False] for row in up.T]]
+    assert len(chosen) == 1
+    seen = _while_seen(pointing, chosen)
+    np.testing.assert_allclose(seen, pointing.to_camera(chosen, below_horizon=True), rtol=0, atol=1e-12)
+
+
+def test_a_ridge_alone_dims_stars_by_the_part_of_the_time_that_they_are_up() -> None:
+    trails = AnalyticSegments(turning_zenith(np.arange(5) / 4), np.array([0.5, 0.5]))
+    above = np.array([[1.0, 0.0, 1.0], [1.0, 0.5, 0.0], [1.0, 1.0, 0.0]])
+    ridge = SimpleNamespace(min_times=3, fraction=lambda _sources, _times: above, parts=lambda *_of: np.array([1, 2]))
+    stars = star_field(unit(np.array([[0.1, 0, 1], [0.2, 0, 1], [0.3, 0, 1.0]])), np.zeros(3))
+    drawn = DrawList(np.arange(3, dtype=np.int32), np.ones(3))
+    fine, listed, bodies = Attenuation(ridge=ridge).behind(trails, stars, drawn, None)
+    np.testing.assert_allclose(fine.time_fraction, [0.5, 0.25, 0.25], rtol=1e-12)
+    np.testing.assert_allclose(listed.passage, Transmission(above).means(fine.time_fraction).T, rtol=1e-6)
+    assert bodies is None
+    same = Attenuation().behind(trails, stars, drawn, None)
+    assert (same[0] is trails, same[1] is drawn) == (True, True)
