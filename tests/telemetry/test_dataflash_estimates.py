@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glstar.arrays import Float, Integer
+from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.telemetry import source
 from glstar.telemetry.dataflash import attitude, reader
@@ -413,6 +414,48 @@ def test_quaternions_of_another_length_are_reported() -> None:
     long = message(C=0, Q1=3.0, Q2=0.0, Q3=4.0, Q4=0.0)
     said = "is left out because its quaternions have length 5, not 1; ATT is used"
     assert flown(Table(XKQ=long, NKQ=long, ATT=att())) == ("ATT", "ATT", (f"XKQ {said}", f"NKQ {said}"))
+
+
+class Reader(reader.DataFlashReader):
+    """A reader of messages in memory."""
+
+    def __init__(self, log: Records, requested: str = "auto") -> None:
+        self.name, self._attitude, self._boot, self._log = "log.BIN", requested, None, log
+
+
+def test_an_attitude_is_requested_by_message_and_lane() -> None:
+    log = Table(XKQ=xkq(np.where(np.arange(50) % 2, 60.0, 40.0), np.arange(50) % 2), NKQ2=xkq(70.0), ATT=att(41.0))
+    for requested, source_of in (
+        ("auto", "XKQ lane 0, nearest to ATT"),
+        ("xkq", "XKQ lane 0, nearest to ATT"),
+        ("XKQ[1]", "XKQ lane 1"),
+        ("xkq1", "XKQ lane 1"),
+        ("ATT", "ATT"),
+        ("NKQ2", "NKQ2 lane 1"),
+        ("NKQ[1]", "NKQ lane 1"),
+    ):
+        [samples] = [of for of in Reader(log, requested).samples() if isinstance(of, source.AttitudeSamples)]
+        assert (samples.source, samples.boot) == (source_of, 1)
+    has = "it has ATT 10.0 Hz; NKQ[1] 10.0 Hz; XKQ[0] and XKQ[1] 5.0 Hz"
+    for requested in ("XKQ[2]", "XKQ3", "AHR2", "x", ""):
+        with pytest.raises(LogFormatError) as caught:
+            list(Reader(log, requested).samples())
+        assert str(caught.value) == f"log.BIN: the log has no attitude {requested!r}; {has}"
+        assert caught.value.offset == 900
+    for nothing in ("auto", "XKQ"):
+        with pytest.raises(LogFormatError) as caught:
+            list(Reader(Table(POS=message(), GPS=message()), nothing).samples())
+        why = "no XKQ, NKQ or ATT among the messages GPS, POS in all"
+        assert str(caught.value) == f"log.BIN: the log has no attitude: {why}"
+    unstamped = {name: of for name, of in att().items() if name != "TimeUS"}
+    with pytest.raises(LogFormatError, match=r"its ATT records are not stamped with a time .* and glstar guesses none"):
+        list(Reader(Table(ATT=unstamped)).samples())
+    names = [name for name, _ in Reader(log).attitudes()]
+    assert names == ["ATT", "NKQ[1]", "XKQ[0]", "XKQ[1]"]
+    facts = Reader(Table(ATT=att(), MSG={"Message": ["Blimp V1.2"]})).facts
+    assert facts() == facts([1]) == source.LogFacts("a table", "Blimp", "Blimp V1.2", "EKF3")
+    assert facts([2]) == source.LogFacts("a table")
+    assert facts().unread_bytes == 7
 
 
 # --- UTC and positions ----------------------------------------------------------------------------------------------

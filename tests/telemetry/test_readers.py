@@ -147,6 +147,7 @@ def test_the_log_of_an_archive(tmp_path: Path) -> None:
         == "a/b.ulg"
     )
     assert member_of(archive(path, own_dot_csv=TABLE, _dot_hidden=TABLE)) == "own.csv"
+    assert member_of(archive(path, a__deep__er__b_dot_ulg=ULOG_HEAD)) == "a/deep/er/b.ulg"
     two = archive(path, a__b_dot_ulg=ULOG_HEAD, c__b_dot_ulg=ULOG_HEAD, d_dot_ulg=ULOG_HEAD, e_dot_csv=TABLE)
     held = "a/b.ulg, c/b.ulg, d.ulg"
     assert refusal(unpack, two) == f"{two}: holds 3 logs ({held}); name one, such as a.zip::a/b.ulg"
@@ -217,6 +218,7 @@ def test_other_files_are_named(head: bytes, name: str, kind: str | None) -> None
 
 def test_the_most_special_format_is_first() -> None:
     assert log_format(ULOG_HEAD) is ULOG
+    assert [entry.is_any_text for entry in LOG_FORMATS] == [False] * (len(LOG_FORMATS) - 1) + [True]
     assert log_format(b"PAR1") is PARQUET
     assert log_format(TABLE.encode()) is CSV
     assert log_format(b"timestamp,ATTITUDE.roll\n").reader is LOG_FORMATS[7].reader

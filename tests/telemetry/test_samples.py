@@ -88,6 +88,7 @@ def test_facts_of_several_boots_are_joined() -> None:
     assert joined == LogFacts("y", "A and B", "F", "EKF3")
     assert joined.unread_bytes == 9
     assert LogFacts.joined("y", [], 0) == LogFacts("y")
+    assert LogFacts("y").unread_bytes == 0
 
 
 def test_a_boot_that_a_log_does_not_have_is_refused() -> None:

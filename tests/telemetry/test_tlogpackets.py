@@ -433,6 +433,14 @@ def test_the_gimbal_is_timed_by_its_own_clock_or_the_autopilots() -> None:
     both = np.concatenate([of_mate, status])
     [first] = batches(Packets(**given, GIMBAL_DEVICE_ATTITUDE_STATUS=both))[source.GimbalSamples]
     np.testing.assert_allclose(first.clock_s, CLOCK_S + 0.04, rtol=0, atol=1e-9)
+    # Of two gimbals that are components of their own, the first one in the file is used.
+    one, two = (
+        rows("MOUNT_ORIENTATION", 1e3 * CLOCK_S, angle, 0, 0, sender=(3, of)) for angle, of in ((11, 154), (7, 171))
+    )
+    two[:, 0] += 1
+    both = np.concatenate([one, two])
+    [of_first] = batches(Packets(**given, MOUNT_ORIENTATION=both[np.argsort(both[:, 0])]))[source.GimbalSamples]
+    assert same(of_first.q_gimbal_reference, Rotation.from_euler("ZYX", [[0.0, 0.0, 11.0]] * 60, degrees=True))
     angles = rows("MOUNT_STATUS", -2300, 1100, 3700)
     [mount] = batches(Packets(**given, MOUNT_STATUS=angles))[source.GimbalSamples]
     np.testing.assert_allclose(mount.clock_s, CLOCK_S, rtol=0, atol=1e-5)
