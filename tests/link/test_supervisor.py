@@ -235,3 +235,28 @@ def test_default_rates_are_restored_when_the_link_ends_alone(clock: list[float])
     link._ending.clear()
     link._restore_rates(wire)  # type: ignore[arg-type]
     assert len(wire.written) - before == 3
+
+
+def test_a_pause_ends_when_a_missing_port_appears_or_the_link_is_closed(clock: list[float], tmp_path: Any) -> None:
+    port = tmp_path / "tty"
+
+    def paused_s(endpoint: Endpoint, *, appears_s: float = 99.0, closes_s: float = 99.0) -> float:
+        link, clock[0] = Link(endpoint), 50.0
+
+        def wait(poll_s: float) -> bool:
+            clock[0] = round(clock[0] + poll_s, 3)
+            if clock[0] >= 50 + appears_s:
+                port.touch()
+            return clock[0] >= 50 + closes_s
+
+        link._ending = SimpleNamespace(wait=wait)  # type: ignore[assignment]
+        link._pause(2.0)
+        return round(clock[0] - 50, 3)
+
+    serial = Endpoint.parse(f"{port},57600")
+    assert paused_s(serial) == 2.0
+    assert paused_s(serial, closes_s=0.7) == 0.7
+    assert paused_s(UDP, closes_s=0.7) == 0.7
+    assert paused_s(serial, appears_s=0.3) == 0.3
+    assert port.exists()
+    assert paused_s(serial) == paused_s(UDP) == 2.0
