@@ -84,3 +84,67 @@ def test_only_a_radio_is_bounded_by_its_baud_rate() -> None:
     assert Endpoint.parse("/dev/ttyUSB0,57600").bytes_per_s == 5760
     assert Endpoint.parse("/dev/ttyACM0,57600").bytes_per_s is None
     assert Endpoint.parse("udp:14550").bytes_per_s is None
+
+
+@pytest.mark.parametrize("baud", [1200, 12_500_000])
+def test_a_baud_rate_is_between_1200_and_12_5_million(baud: int) -> None:
+    assert Endpoint.parse(f"/dev/ttyUSB0,{baud}") == Endpoint(
+        "serial", f"/dev/ttyUSB0,{baud}", device="/dev/ttyUSB0", baud=baud
+    )
+    beyond = 1199 if baud == 1200 else 12_500_001
+    with pytest.raises(ConfigError) as refused:
+        Endpoint.parse(f"/dev/ttyUSB0,{beyond}")
+    advice = "radios are set to 57600, USB ports to 115200"
+    assert str(refused.value) == f"/dev/ttyUSB0,{beyond}: {beyond} is no baud rate; {advice}"
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("tcp:h:1", Endpoint("tcp", "tcp:h:1", host="h", port=1)),
+        ("tcpout:h:65535", Endpoint("tcp", "tcpout:h:65535", host="h", port=65535)),
+        ("UDP:h", Endpoint("udpin", "UDP:h", host="h", port=14550)),
+        ("tcpin::77", Endpoint("tcpin", "tcpin::77", host="127.0.0.1", port=77)),
+        ("tcp:h:", Endpoint("tcp", "tcp:h:", host="h", port=5760)),
+        ("udpout:[fe80::1]", Endpoint("udpout", "udpout:[fe80::1]", host="fe80::1", port=14550)),
+        ("udp://h:5/", Endpoint("udpin", "udp://h:5/", host="h", port=5)),
+    ],
+)
+def test_an_address_has_the_usual_port_unless_it_names_one(typed: str, expected: Endpoint) -> None:
+    assert Endpoint.parse(typed) == expected
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("tcp:h:0", "tcp:h:0: 0 is no port; ports are numbers from 1 to 65535, and usually 5760"),
+        ("udp:h:65536", "udp:h:65536: 65536 is no port; ports are numbers from 1 to 65535, and usually 14550"),
+        ("tcp:h:x", "tcp:h:x: x is no port; ports are numbers from 1 to 65535, and usually 5760"),
+        ("udpout:", "udpout: has no host; write udpout:HOST:14550, such as udpout:127.0.0.1:14550"),
+        ("udp:a:b:c", "udp:a:b:c: write an address with colons in brackets, such as [::1]:14550"),
+        ("tcp:a@b", "tcp:a@b: only udp:// accepts an @; write tcp:HOST:PORT"),
+        ("udp://a@b", "udp://a@b: listen (udpin:a) or send first (udpout:b); not both at once"),
+    ],
+)
+def test_what_is_wrong_with_an_address_is_said_with_what_to_write(typed: str, message: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Endpoint.parse(typed)
+    assert str(refused.value) == message
+
+
+@pytest.mark.parametrize(
+    ("typed", "is_here"),
+    [
+        ("tcp:localhost", True),
+        ("tcp:127.0.0.2", True),
+        ("tcp:[::1]:5", True),
+        ("tcp:10.0.0.9", False),
+        ("tcp:glstar.local", False),
+        ("udpin:0.0.0.0", False),
+        ("/dev/ttyUSB0", False),
+    ],
+)
+def test_only_loopback_stays_on_this_computer(typed: str, is_here: bool) -> None:
+    assert Endpoint.parse(typed).is_on_this_computer == is_here
+    assert not Endpoint.parse("/dev/tty.usbmodem1").is_radio
+    assert Endpoint.parse("COM3,9600").bytes_per_s == 960
