@@ -17,6 +17,7 @@ from glstar.sky.place.site import Site
 from glstar.viewer.flight import map as flightmap
 from glstar.viewer.flight import sky as flightsky
 from glstar.viewer.flight.lookaround import LookAround
+from glstar.viewer.flight.others import OtherLog
 from glstar.viewer.flight.sky import CurrentConditions, SkySampler, SkySamples, light_intervals
 from glstar.viewer.flight.traces import FlightLines, TimelineCurve, Trace, motion_traces
 from glstar.viewer.overlays.canvas import ned_to_camera_matrix
@@ -356,3 +357,11 @@ def test_the_free_camera_is_level_and_stands_still_beside_the_aircraft(small: Co
     np.testing.assert_allclose(middle, [154.5, 99.5], rtol=0, atol=12.0)
     late = SimpleNamespace(exposure=SimpleNamespace(mid_utc_s=start_s + 99.0))
     assert look.outline_px(simulator, late).shape == (0, 2)
+
+
+def test_another_log_has_angles_where_it_has_an_attitude() -> None:
+    q = np.stack([quaternion_from_euler(0.1, -0.2, 0.3)] * 2)
+    track = AttitudeTrack(np.array([1000.0, 1001.0]), q)
+    log = OtherLog("other", SimpleNamespace(aircraft_attitude=track), {})
+    assert log.angles_rad(1000.5) == pytest.approx((0.1, -0.2, 0.3))
+    assert log.angles_rad(1002.0) is None
