@@ -17,6 +17,7 @@ from glstar.sky.place.site import Site
 from glstar.viewer.flight import map as flightmap
 from glstar.viewer.flight import sky as flightsky
 from glstar.viewer.flight.lookaround import LookAround
+from glstar.viewer.flight.others import OtherLog
 from glstar.viewer.flight.sky import CurrentConditions, SkySampler, SkySamples, light_intervals
 from glstar.viewer.flight.traces import FlightLines, TimelineCurve, Trace, motion_traces
 from glstar.viewer.overlays.canvas import ned_to_camera_matrix
@@ -205,7 +206,7 @@ def test_the_lines_of_a_flight_are_broken_at_gaps_and_at_180_degrees() -> None:
     q = np.stack([quaternion_from_euler(0.0, 0.0, radians(deg)) for deg in yaw_deg])
     lines = FlightLines.of(AttitudeTrack(utc_s, q, (Gap(1003.0, 1010.0, "a data gap"),)), 990.0)
     assert lines.second.tolist() == [10, 11, 12, 13, 20, 21, 22]
-    np.testing.assert_allclose(lines.gaps_s, [[13.0, 20.0]])
+    np.testing.assert_allclose(lines.gaps_s, [[13.0, 20.0]], rtol=0, atol=1e-6)
     x, y = lines.angles[2].thinned(0.0, 100.0, 1000)
     assert np.flatnonzero(np.isnan(y)).tolist() == [2, 5]
     np.testing.assert_allclose(y[~np.isnan(y)], (yaw_deg + 180) % 360 - 180, rtol=0, atol=1e-9)
@@ -333,7 +334,7 @@ def test_the_free_camera_is_level_and_stands_still_beside_the_aircraft(small: Co
     assert other.flight is flown
     look.azimuth_rad = 2.1
     assert look.of(simulator).flight is not flown
-    # It looks where a position of the image is, and not where there is none.
+    # It turns to a position of the image, and does not turn to one that has no direction.
     look.azimuth_rad, look.altitude_rad = 2.0, 0.4
     look.look_at(np.array([149.5, 99.5]), scene)
     assert (look.azimuth_rad, look.altitude_rad) == pytest.approx((2.0, 0.4), abs=3e-6)
@@ -356,3 +357,11 @@ def test_the_free_camera_is_level_and_stands_still_beside_the_aircraft(small: Co
     np.testing.assert_allclose(middle, [154.5, 99.5], rtol=0, atol=12.0)
     late = SimpleNamespace(exposure=SimpleNamespace(mid_utc_s=start_s + 99.0))
     assert look.outline_px(simulator, late).shape == (0, 2)
+
+
+def test_another_log_has_angles_where_it_has_an_attitude() -> None:
+    q = np.stack([quaternion_from_euler(0.1, -0.2, 0.3)] * 2)
+    track = AttitudeTrack(np.array([1000.0, 1001.0]), q)
+    log = OtherLog("other", SimpleNamespace(aircraft_attitude=track), {})
+    assert log.angles_rad(1000.5) == pytest.approx((0.1, -0.2, 0.3))
+    assert log.angles_rad(1002.0) is None

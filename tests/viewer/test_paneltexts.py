@@ -294,7 +294,7 @@ def test_the_surroundings_of_a_star_are_cut_out_across_its_trail(
     # Columns 8 to 32 and rows 0 to 24 around the pixel (20, 12).
     assert (cut_out.left_px, cut_out.top_px) == (8, 0)
     np.testing.assert_array_equal(cut_out.pixels, pixels[0:25, 8:33])
-    np.testing.assert_allclose(cut_out.offset_px, np.linspace(-12, 12, 49))
+    np.testing.assert_allclose(cut_out.offset_px, np.linspace(-12, 12, 49), rtol=0, atol=1e-12)
     x, y = 20.3 - 0.8 * cut_out.offset_px, 11.7 + 0.6 * cut_out.offset_px
     inside = (x >= 8) & (x < 32) & (y >= 0) & (y < 24)
     np.testing.assert_allclose(cut_out.measured_dn[inside], (40 * y + x)[inside], rtol=1e-9)

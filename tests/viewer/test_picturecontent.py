@@ -252,6 +252,7 @@ def test_a_fit_counts_its_images_and_can_be_stopped() -> None:
     assert run._cancelled.is_set()
     assert (run.result, run.error) == (None, "disk full")
     progress = fitting.CalibrationProgress()
+    assert (progress.pixels, progress.detected_px.shape, progress.step, progress.done) == (None, (0, 2), "", 0)
     progress.begin("reading", 2)
     assert (progress.step, progress.done) == ("reading", 2)
     progress.cancelled.set()
