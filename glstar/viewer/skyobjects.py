@@ -223,6 +223,8 @@ def _distance_to_trail_px(xy: Float, position: Float) -> Float:
 
 # Prefixes of catalogue numbers that are recognised in a query.
 _NUMBER = re.compile(r"(hr|hip)?\s*(\d+)")
+# Numbers that people write with or without a space.
+_CATALOGUE_NUMBER = re.compile(r"^(m|ngc|ic|hr|hip) ?(\d+)$")
 
 
 class ObjectKind(StrEnum):
@@ -264,10 +266,10 @@ class SkySearch:
 
         Objects are sorted by match (complete name, beginning of a name, of a word, anywhere), kind and magnitude.
         `query`: a name or the beginning of one of its words, a designation with a Greek letter or its name (``"α
-        cma"``, ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"2491"``); case and accents are
-        ignored; `limit`: the largest number of objects returned.
+        cma"``, ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"hr2491"``, ``"2491"``,
+        ``"M 31"``); case and accents are ignored; `limit`: the largest number of objects returned.
         """
-        words = _normalized(query)
+        words = _CATALOGUE_NUMBER.sub(_as_listed, _normalized(query))
         if not words:
             return []
         ranked = [
@@ -350,6 +352,11 @@ def _normalized(name: str) -> str:
         is_greek = "GREEK SMALL LETTER" in unicodedata.name(letter, "")
         letters.append(unicodedata.name(letter).split()[-1].lower() if is_greek else letter.casefold())
     return " ".join("".join(letters).split())
+
+
+def _as_listed(number: re.Match[str]) -> str:
+    """Return a catalogue number as it is listed: M31, but NGC 224."""
+    return f"m{number[2]}" if number[1] == "m" else f"{number[1]} {number[2]}"
 
 
 def _rank(key: str, query: str) -> int:
