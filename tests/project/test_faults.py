@@ -63,13 +63,19 @@ def test_a_random_fault_meets_the_tests_that_run_its_line(tmp_path: Path) -> Non
     assert record(tmp_path / "lines", ["-n2", pitch, arrays, child]) == 0
     lines = LineTests(tmp_path / "lines")
 
-    def tests_at(file: str, code: str) -> list[str]:
+    def line_of(file: str, code: str) -> int:
         text = (ROOT / file).read_text(encoding="utf-8").splitlines()
-        return sorted(lines.of(file, 1 + next(k for k, line in enumerate(text) if line.strip().startswith(code))))
+        return 1 + next(k for k, line in enumerate(text) if line.strip().startswith(code))
+
+    def tests_at(file: str, code: str) -> list[str]:
+        return sorted(lines.of(file, line_of(file, code)))
 
     assert tests_at("glstar/rotation.py", "return about_x") == [pitch, arrays]
     assert tests_at("glstar/rotation.py", "C[..., ::4] += 1") == [arrays]
-    assert tests_at("glstar/rotation.py", "_MATRIX_OF_PRODUCTS =") == [arrays]  # of the lines that name it
+    constant = line_of("glstar/rotation.py", "_MATRIX_OF_PRODUCTS =")
+    assert lines.of("glstar/rotation.py", constant) == [arrays, pitch]  # first that of the lines that name it
+    assert lines.at_import("glstar/rotation.py", constant)
+    assert not lines.at_import("glstar/rotation.py", line_of("glstar/rotation.py", "C[..., ::4] += 1"))
     assert tests_at("glstar/rotation.py", "xx, yy, zz =") == [pitch, arrays]  # of all lines of the module
     assert tests_at("glstar/system/process.py", "return mallopt is not None") == [child]
     assert lines.of("glstar/rotation.py", 1, most_s=0.0) == []

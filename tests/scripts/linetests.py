@@ -20,7 +20,9 @@ import re
 import subprocess
 import sys
 from collections.abc import Generator, Iterable, Sequence
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from coverage import Coverage, CoverageData
@@ -51,25 +53,41 @@ class LineTests:
         """Return the tests that run a line of a file, the quickest first, which together take up to `most_s`.
 
         What runs once, when a module is imported, is seen by the tests that run any of the lines which name what it
-        defines, or else any line of the module.
+        defines, in any module, and then by those of any line of its module; a default by those of its function.
         """
-        by_line = self._data.contexts_by_lineno(self._files[file]) if file in self._files else {}
-        text = (ROOT / file).read_text(encoding="utf-8")
-        begin, end, names = _statement(text, line)
-        found = _named(by_line, range(begin, end + 1))
-        if not found and names:
-            word = re.compile(rf"\b({'|'.join(names)})\b")
-            found = _named(by_line, [k for k, one in enumerate(text.splitlines(), 1) if word.search(one)])
-        found = found or _named(by_line, by_line)
-        tests = sorted((self._seconds[test], test) for test in found & self._seconds.keys())
+        by_line = self._by_line(file)
+        where = _statement(_text(file), line)
+        if where.is_at_import:
+            found = _named(by_line, where.body) | self._of_names(file, where)
+        else:
+            found = _named(by_line, range(where.begin, where.end + 1))
+        others = _named(by_line, _in_functions(file)) if where.is_at_import or not found else set()
+        tests = [
+            one
+            for some in (found, others - found)
+            for one in sorted((self._seconds[test], test) for test in some & self._seconds.keys())
+        ]
         passed = itertools.accumulate(seconds for seconds, _ in tests)
         return [test for (_, test), seconds in zip(tests, passed, strict=True) if seconds <= most_s]
 
+    def _by_line(self, file: str) -> dict[int, list[str]]:
+        return self._data.contexts_by_lineno(self._files[file]) if file in self._files else {}
+
+    def _of_names(self, file: str, where: "_Statement") -> set[str]:
+        """Return the tests of the lines that name what a statement defines; private names are those of their module."""
+        found: set[str] = set()
+        for name in where.names:
+            word = re.compile(rf"\b{re.escape(name)}\b")
+            for other in [file] if name.startswith("_") else self._files:
+                lines = _text(other).splitlines()
+                named = [k for k in _in_functions(other) if word.search(lines[k - 1])]
+                found |= _named(self._by_line(other), named) if named else set()
+        return found
+
     def at_import(self, file: str, line: int) -> bool:
-        """Whether no test runs a line of a file but by importing its module."""
-        by_line = self._data.contexts_by_lineno(self._files[file]) if file in self._files else {}
-        begin, end, _ = _statement((ROOT / file).read_text(encoding="utf-8"), line)
-        return not _named(by_line, range(begin, end + 1))
+        """Whether a line of a file runs only when its module is imported."""
+        by_line, where = self._by_line(file), _statement(_text(file), line)
+        return where.is_at_import or not _named(by_line, range(where.begin, where.end + 1))
 
     def time_s(self, tests: Iterable[str]) -> float:
         """Return the time that tests took together, s."""
@@ -93,17 +111,49 @@ def _relative(file: str) -> str:
     return "/".join(parts[len(parts) - 1 - parts[::-1].index("glstar") :]) if "glstar" in parts else file
 
 
-def _statement(text: str, line: int) -> tuple[int, int, list[str]]:
-    """Return the first and last line of what runs at a line of a module, and the names that it defines."""
-    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.stmt)]
+@cache
+def _text(file: str) -> str:
+    return (ROOT / file).read_text(encoding="utf-8")
+
+
+class _Statement(NamedTuple):
+    """What runs at a line of a module."""
+
+    begin: int  # Its first and last line
+    end: int
+    names: tuple[str, ...]  # What it defines
+    body: range  # Lines of the body if it is the head of a function
+    is_at_import: bool  # Whether it runs when the module is imported
+
+
+def _statement(text: str, line: int) -> _Statement:
+    nodes = [node for node in ast.walk(_parsed(text)) if isinstance(node, ast.stmt)]
     around = [node for node in nodes if node.lineno <= line <= (node.end_lineno or node.lineno)]
+    functions = (node for node in around if isinstance(node, ast.FunctionDef))
+    is_at_import = not any(line >= node.body[0].lineno for node in functions)
     if not around:
-        return line, line, []
+        return _Statement(line, line, (), range(0), is_at_import)
     smallest = min(around, key=lambda node: (node.end_lineno or node.lineno) - node.lineno)
+    if isinstance(smallest, ast.FunctionDef):
+        body = range(smallest.body[0].lineno, (smallest.end_lineno or line) + 1)
+        return _Statement(line, line, (smallest.name,), body, is_at_import)
     if hasattr(smallest, "body"):  # Its body has lines of its own
-        return line, line, [smallest.name] if isinstance(smallest, ast.FunctionDef | ast.ClassDef) else []
+        return _Statement(line, line, (), range(0), is_at_import)
     stored = [node for node in ast.walk(smallest) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
-    return smallest.lineno, smallest.end_lineno or line, [node.id for node in stored]
+    names = tuple(node.id for node in stored)
+    return _Statement(smallest.lineno, smallest.end_lineno or line, names, range(0), is_at_import)
+
+
+@cache
+def _in_functions(file: str) -> list[int]:
+    """Return the lines of a file in the bodies of functions, which do not run when it is imported."""
+    functions = [node for node in ast.walk(_parsed(_text(file))) if isinstance(node, ast.FunctionDef)]
+    return sorted({k for node in functions for k in range(node.body[0].lineno, (node.end_lineno or 0) + 1)})
+
+
+@lru_cache(maxsize=4)
+def _parsed(text: str) -> ast.Module:
+    return ast.parse(text)
 
 
 # As a plugin of pytest, in each of its processes.
