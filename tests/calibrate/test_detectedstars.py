@@ -153,6 +153,12 @@ def test_peaks_are_significant_maxima_the_highest_first() -> None:
         for p in [_peaks(fine, flat, usable, sigma).tolist()]
     }
     assert counts[0.4] == [True, True]
+    # Of narrow stars the surroundings are the eight neighbours: all of a cross of stars two px apart are found.
+    cross = np.array([[60, 40], [60, 42], [60, 38], [62, 40], [58, 40]])
+    spots = np.zeros(SHAPE)
+    spots[cross[:, 0], cross[:, 1]] = [500, 900, 880, 860, 840]
+    found = _peaks(spots + 0.01 * noise, flat, usable, 0.4).tolist()
+    assert [[float(x), float(y)] in found for y, x in cross] == [True] * 5
     patch = np.zeros(SHAPE)
     patch[50:55, 70:75] = 500
     usable[50:55, 70:75] = False

@@ -58,6 +58,22 @@ def test_kinds_have_the_names_of_ros_2() -> None:
     assert storage._full_kind("a/srv/b") == "a/srv/b"
 
 
+def test_kinds_that_are_defined_in_idl_are_decoded_by_their_definitions() -> None:
+    """Also if the definition of a kind brings those of its parts, each below a line and its name."""
+    line = "=" * 80
+    two = "module demo { module msg { struct Two { uint32 a; double b; demo::msg::Inner c; }; }; };\n"
+    inner = "module demo { module msg { struct Inner { int16 d; }; }; };\n"
+    together = f"{line}\nIDL: demo/msg/Two\n{two}{line}\nIDL: demo/msg/Inner\n{inner}"
+    little_endian = b"\0\1\0\0"
+
+    alone = storage._decoder("demo/msg/Inner", inner, is_idl=True, is_ros1=False)
+    both = storage._decoder("demo/msg/Two", together, is_idl=True, is_ros1=False)
+
+    assert alone(little_endian + struct.pack("<h", -3)).d == -3
+    found = both(little_endian + struct.pack("<I4xdh", 7, 2.5, -4))
+    assert (found.a, found.b, found.c.d) == (7, 2.5, -4)
+
+
 def test_a_second_kind_on_a_topic_is_a_topic_of_its_own() -> None:
     bag = Bag("x.bag")
     first = bag.topic(_Channel("/a", IMU))
