@@ -1,5 +1,6 @@
 """Calibration with boards, on images rendered by a known camera."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -175,6 +176,18 @@ def test_an_image_is_rectified_on_the_command_line(chessboards, tmp_path: Path) 
     result = run("camera", "rectify", chessboards[4], "-c", tmp_path / "c.yaml", "-o", tmp_path / "straight.png")
 
     assert result.exit_code == 0, result.output
+    size = f"{tmp_path / 'straight.png'}: {BARREL.width_px} x {BARREL.height_px} px"
+    assert result.output == f"{size}, without its lens ({BARREL.lens})\n"
+    (tmp_path / "pinhole.yaml").write_text(camera_to_yaml(replace(BARREL, lens=None)))
+    as_it_was = run(
+        "camera", "rectify", chessboards[4], "-c", tmp_path / "pinhole.yaml", "-o", tmp_path / "straight.png"
+    )
+    assert as_it_was.output == f"{size}, no lens: the image is unchanged\n"
+    unchanged, original = (
+        cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (tmp_path / "straight.png", chessboards[4])
+    )
+    np.testing.assert_array_equal(unchanged, original)
+    run("camera", "rectify", chessboards[4], "-c", tmp_path / "c.yaml", "-o", tmp_path / "straight.png")
     _, corners = BOARD.find(cv2.imread(str(tmp_path / "straight.png"), cv2.IMREAD_GRAYSCALE))
     rows = corners.reshape(6, 9, 2)
     for row in rows:  # straight lines are straight
