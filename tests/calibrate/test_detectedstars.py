@@ -153,7 +153,7 @@ def test_peaks_are_significant_maxima_the_highest_first() -> None:
         for p in [_peaks(fine, flat, usable, sigma).tolist()]
     }
     assert counts[0.4] == [True, True]
-    # Of narrow stars the surroundings are the eight neighbours: all of a cross of stars two px apart are found.
+    # Of narrow stars the surroundings are the eight neighbours: all of a cross, two px from its middle, are found.
     cross = np.array([[60, 40], [60, 42], [60, 38], [62, 40], [58, 40]])
     spots = np.zeros(SHAPE)
     spots[cross[:, 0], cross[:, 1]] = [500, 900, 880, 860, 840]

@@ -1,5 +1,7 @@
 """Shapes of star paths and of their motions, against linear algebra written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -180,3 +182,8 @@ def test_paths_of_a_stack_are_sampled_in_each_short_exposure() -> None:
     np.testing.assert_allclose(paths.in_camera, near, rtol=0, atol=0.35 * 0.1 / count * 1.1)
     np.testing.assert_allclose(paths.since_mid, since / 0.4 - 0.5, rtol=0, atol=1e-6)
     np.testing.assert_allclose(paths.exposed_fraction, np.ones(5), rtol=1e-7)
+    # Rows that open later are open as long: time counts from the opening of each.
+    rolling = exposed_paths(simulator.scene(replace(exposure, readout_s=0.04)), direction)
+    count = len(rolling.in_camera) // 3
+    since = (0.15 * np.arange(3)[:, np.newaxis] + (np.arange(count) + 0.5) / count * 0.1).ravel()
+    np.testing.assert_allclose(rolling.since_mid, since / 0.4 - 0.5, rtol=0, atol=1e-6)

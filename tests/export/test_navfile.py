@@ -10,8 +10,10 @@ import pytest
 import tifffile
 from astropy.io import fits
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from glstar.camera.exposure import Exposure
+from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.imagefiles.fits import damage_of_fits
@@ -329,3 +331,18 @@ def test_the_gimbal_turns_the_estimate_of_the_aircraft_onto_its_platform(tmp_pat
         assert np.rad2deg((platform * Rotation.from_quat(np.roll(truth["q_body_ned"], -1)).inv()).magnitude()) == (
             pytest.approx(0.5, abs=1e-6)
         )
+
+
+def test_each_sample_of_a_set_has_the_navigator_of_its_settings(tmp_path: Path) -> None:
+    section = CONFIG[: CONFIG.index("[flight.synthetic]")] + '[flight.synthetic]\npath = "still"\n'
+    sweep = "[navigator]\nroll_bias_deg = 2.0\n[sweep]\nnavigator.roll_bias_deg = [1.0, 11.0, 4.0]\n"
+    (tmp_path / "set.toml").write_text(section + sweep)
+
+    made = CliRunner().invoke(app, ["export", "-c", str(tmp_path / "set.toml"), "-o", str(tmp_path), "--frames", "2"])
+
+    assert made.exit_code == 0, made.output
+    lines = lines_of(tmp_path / "nav.jsonl")
+    first = np.array(lines[0]["q_body_ned"]["middle"])
+    turns_deg = [np.rad2deg(turn_between(first, np.array(line["q_body_ned"]["middle"]))) for line in lines]
+    np.testing.assert_allclose(np.abs(turns_deg)[:, 0], [0, 0, 10, 10, 3, 3], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(np.array(turns_deg)[:, 1:], 0, rtol=0, atol=1e-6)
