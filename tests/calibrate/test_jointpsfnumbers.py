@@ -27,6 +27,7 @@ from glstar.calibrate.sensor.jointpsf import (
     measure_fluxes,
 )
 from glstar.camera.sensor.pointspread import PointSpread
+from tests.support.handmade import stamps_of
 
 SHAPED = PointSpread(
     psf_wing_fraction=0.2,
@@ -38,23 +39,6 @@ SHAPED = PointSpread(
     psf_tilt_angle_rad=-0.8,
     psf_colour_growth=0.2,
 )
-
-
-def stamps_of(count: int = 3, side: int = 13, seed: int = 1, trail: bool = False, **given: object) -> StarStamps:
-    """Return stamps of stars near their middles, without light."""
-    rng = np.random.default_rng(seed)
-    corner = rng.integers(5, 90, (count, 2)).astype(float)
-    fields = {
-        "corner_px": corner,
-        "values_dn": np.zeros((count, side, side)),
-        "variance_dn2": rng.uniform(4, 9, (count, side, side)),
-        "xy_px": corner + side // 2 + rng.uniform(-0.5, 0.5, (count, 2)),
-        "trail_px": rng.uniform(-2, 2, (count, 2)) if trail else np.zeros((count, 2)),
-        "offset": rng.uniform(-0.7, 0.7, (count, 2)),
-        "bv": rng.uniform(-0.2, 1.5, count),
-        "dn_per_e": 0.3,
-    }
-    return StarStamps(**fields | given)
 
 
 def lit(

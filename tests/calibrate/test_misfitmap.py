@@ -1,6 +1,5 @@
 """Unevenness over a photograph: brightness, sky, noise and ellipses on exact surfaces, and which stars count."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,6 @@ from glstar.arrays import robust_std
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.photo.psf import star_shapes
 from glstar.calibrate.sensor import misfitmeasurement
-from glstar.calibrate.sensor.fit import BrightnessFit
 from glstar.calibrate.sensor.misfitmeasurement import (
     _brightness_map,
     _corner_loss,
@@ -25,21 +23,7 @@ from glstar.calibrate.sensor.misfitmeasurement import (
     measure_ellipticity,
     measure_noise_structure,
 )
-
-
-class Stars(SimpleNamespace):
-    """The part of `MeasuredStars` that a measurement uses."""
-
-    def __len__(self) -> int:
-        return len(self.xy_px)
-
-
-def picture(pixels: np.ndarray) -> Photograph:
-    return Photograph(Path("a.png"), pixels, 12, "grey", None)
-
-
-def law(used: np.ndarray) -> BrightnessFit:
-    return BrightnessFit("median", 4.0, 800.0, used, 0.1, 0.01, -0.4, -0.42, -0.38)
+from tests.support.handmade import Stars, law, picture
 
 
 def test_the_map_of_brightness_has_the_median_of_each_part() -> None:

@@ -1,14 +1,11 @@
 """Which stars show a misfit: shapes, wings and rings of profiles, with hand-made stars."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.sensor import misfitmeasurement
-from glstar.calibrate.sensor.fit import BrightnessFit
 from glstar.calibrate.sensor.misfit import Measurement
 from glstar.calibrate.sensor.misfitmeasurement import (
     _star_profile,
@@ -16,21 +13,7 @@ from glstar.calibrate.sensor.misfitmeasurement import (
     measure_misfit,
 )
 from glstar.camera.sensor.sensor import Sensor
-
-
-class Stars(SimpleNamespace):
-    """The part of `MeasuredStars` that a measurement uses."""
-
-    def __len__(self) -> int:
-        return len(self.xy_px)
-
-
-def picture(pixels: np.ndarray) -> Photograph:
-    return Photograph(Path("a.png"), pixels, 12, "grey", None)
-
-
-def law(used: np.ndarray) -> BrightnessFit:
-    return BrightnessFit("median", 4.0, 800.0, used, 0.1, 0.01, -0.4, -0.42, -0.38)
+from tests.support.handmade import Stars, law, picture
 
 
 def misfit_of(monkeypatch: pytest.MonkeyPatch, count: int = 160, trail_px: float = 0.0, drawn_out_px: float = 0.0):

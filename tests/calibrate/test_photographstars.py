@@ -6,11 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from glstar.calibrate.photo.sky import NoiseAgainstLevel, SkyMap
 from glstar.calibrate.sensor import photographmodel
-from glstar.calibrate.sensor.brightness import BrightnessTerms
-from glstar.calibrate.sensor.jointpsf import JointPsf
-from glstar.calibrate.sensor.misfit import Measurement
 from glstar.calibrate.sensor.photographmodel import (
     HotPixels,
     _matched_fluxes,
@@ -20,39 +16,8 @@ from glstar.calibrate.sensor.photographmodel import (
     _stamps,
     measure_photograph,
 )
-from glstar.camera.sensor.pointspread import PointSpread
 from glstar.errors import CalibrationError
-from tests.support.handmade import handmade, with_stars
-
-OFF = np.random.default_rng(3).normal(0, 0.1, 30)
-JOINT = JointPsf(
-    PointSpread(psf_wing_fraction=0.1, psf_wing_sigma_px=4.0), 1.2, {"psf_sigma_px": 0.01}, 25, 1.1, ("no growth",)
-)
-TERMS = BrightnessTerms(
-    zero_mag=-11.0,
-    zero_error_mag=0.02,
-    colour=Measurement(-0.31234, 0.02),
-    curvature=Measurement(0.12345, 0.03),
-    loss_mag=Measurement(0.4, 0.05),
-    magnitude_slope=Measurement(0.01, 0.004),
-    scatter_mag=0.07,
-    stars=28,
-    residual_mag=np.zeros(30),
-)
-NOISE = NoiseAgainstLevel(
-    np.array([40.0, 60.0]),
-    np.array([13.0, 19.0]),
-    np.array([0.5, 0.6]),
-    dn_per_e=0.3,
-    dn_per_e_error=0.06,
-    at_zero_dn2=1.5,
-)
-
-
-def sky_of(level_dn: float = 50.0, slope: float = 0.0) -> SkyMap:
-    level = level_dn + slope * (np.arange(400) - 199.5)[np.newaxis] + np.zeros((300, 1))
-    texels = np.array([[level_dn - 6.0, level_dn + 2.0], [level_dn, level_dn + 4.0]])
-    return SkyMap(texels, level, np.zeros((300, 400)), np.ones((300, 400), bool), 0.05)
+from tests.support.handmade import JOINT, NOISE, OFF, handmade, sky_of, with_stars
 
 
 def stamps_call(monkeypatch: pytest.MonkeyPatch, part, sky, **given):

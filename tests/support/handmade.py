@@ -2,16 +2,21 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars
 from glstar.calibrate.photo.detection import Background, DetectedStars, SkyLevel
 from glstar.calibrate.photo.photograph import Photograph
+from glstar.calibrate.photo.sky import NoiseAgainstLevel, SkyMap
+from glstar.calibrate.sensor.brightness import BrightnessTerms
 from glstar.calibrate.sensor.calibration import Calibration
-from glstar.calibrate.sensor.fit import MeasuredStars, fit_brightness
+from glstar.calibrate.sensor.fit import BrightnessFit, MeasuredStars, fit_brightness
+from glstar.calibrate.sensor.jointpsf import JointPsf, StarStamps
 from glstar.calibrate.sensor.misfit import Measurement, Misfit
 from glstar.camera.model import Camera
+from glstar.camera.sensor.pointspread import PointSpread
 from glstar.camera.sensor.sensor import Sensor
 from glstar.rotation import about_x, about_y
 from glstar.sky.catalogue.starfield import StarField
@@ -133,3 +138,70 @@ def handmade(
 def with_stars(calibration: Calibration, **given: object) -> Calibration:
     """Return a calibration whose stars have other measurements."""
     return replace(calibration, stars=replace(calibration.stars, **given))
+
+
+# Parts of the model of a photograph.
+OFF = np.random.default_rng(3).normal(0, 0.1, 30)
+JOINT = JointPsf(
+    PointSpread(psf_wing_fraction=0.1, psf_wing_sigma_px=4.0), 1.2, {"psf_sigma_px": 0.01}, 25, 1.1, ("no growth",)
+)
+TERMS = BrightnessTerms(
+    zero_mag=-11.0,
+    zero_error_mag=0.02,
+    colour=Measurement(-0.31234, 0.02),
+    curvature=Measurement(0.12345, 0.03),
+    loss_mag=Measurement(0.4, 0.05),
+    magnitude_slope=Measurement(0.01, 0.004),
+    scatter_mag=0.07,
+    stars=28,
+    residual_mag=np.zeros(30),
+)
+NOISE = NoiseAgainstLevel(
+    np.array([40.0, 60.0]),
+    np.array([13.0, 19.0]),
+    np.array([0.5, 0.6]),
+    dn_per_e=0.3,
+    dn_per_e_error=0.06,
+    at_zero_dn2=1.5,
+)
+
+
+def sky_of(level_dn: float = 50.0, slope: float = 0.0) -> SkyMap:
+    """Return a sky that brightens to the right."""
+    level = level_dn + slope * (np.arange(400) - 199.5)[np.newaxis] + np.zeros((300, 1))
+    texels = np.array([[level_dn - 6.0, level_dn + 2.0], [level_dn, level_dn + 4.0]])
+    return SkyMap(texels, level, np.zeros((300, 400)), np.ones((300, 400), bool), 0.05)
+
+
+def stamps_of(count: int = 3, side: int = 13, seed: int = 1, trail: bool = False, **given: object) -> StarStamps:
+    """Return stamps of stars near their middles, without light."""
+    rng = np.random.default_rng(seed)
+    corner = rng.integers(5, 90, (count, 2)).astype(float)
+    fields = {
+        "corner_px": corner,
+        "values_dn": np.zeros((count, side, side)),
+        "variance_dn2": rng.uniform(4, 9, (count, side, side)),
+        "xy_px": corner + side // 2 + rng.uniform(-0.5, 0.5, (count, 2)),
+        "trail_px": rng.uniform(-2, 2, (count, 2)) if trail else np.zeros((count, 2)),
+        "offset": rng.uniform(-0.7, 0.7, (count, 2)),
+        "bv": rng.uniform(-0.2, 1.5, count),
+        "dn_per_e": 0.3,
+    }
+    return StarStamps(**fields | given)
+
+
+class Stars(SimpleNamespace):
+    """The part of `MeasuredStars` that a measurement uses."""
+
+    def __len__(self) -> int:
+        return len(self.xy_px)
+
+
+def picture(pixels: np.ndarray) -> Photograph:
+    """Return a grey photograph of 12 bits."""
+    return Photograph(Path("a.png"), pixels, 12, "grey", None)
+
+
+def law(used: np.ndarray) -> BrightnessFit:
+    """Return a law of brightness that used some stars."""
+    return BrightnessFit("median", 4.0, 800.0, used, 0.1, 0.01, -0.4, -0.42, -0.38)
