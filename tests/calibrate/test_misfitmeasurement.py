@@ -19,6 +19,7 @@ from glstar.calibrate.sensor.misfitmeasurement import (
     measure_wings,
 )
 from glstar.errors import CalibrationError
+from tests.support.handmade import Stars
 
 SIDE = 420
 # Distance of every fifth star in distances of the corner, stars, and whether they cover the corner.
@@ -26,13 +27,6 @@ LIMITS = [(0.59, 30, False), (0.61, 30, True), (0.61, 20, True), (0.61, 19, Fals
 SIGMA_PX = 1.4
 # Nine stars, far from each other.
 CENTRES = np.array([(x + 0.2 * y / 70, y - 0.1 * x / 70) for x in (70, 210, 350) for y in (70, 210, 350)])
-
-
-class Stars(SimpleNamespace):
-    """The part of `MeasuredStars` that a measurement uses."""
-
-    def __len__(self) -> int:
-        return len(self.xy_px)
 
 
 def gaussians(sigma_px: float, peak_dn: float) -> np.ndarray:

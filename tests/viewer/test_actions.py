@@ -16,17 +16,9 @@ from glstar.viewer.picture.view import ColourMap, ImageView, Stretch, StretchKin
 from glstar.viewer.session import actions
 from glstar.viewer.session.keys import KEYS, Action, shown_chord
 from glstar.viewer.session.memory import Place
+from tests.support.viewerdoubles import Noting
 
 NO_LINK = "there is no link: connect to one (Ctrl+L)"
-
-
-class Noting(SimpleNamespace):
-    """Notes the calls of methods that it does not have."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return lambda *what, **keys: self.__dict__.setdefault("done", []).append((name, *what, *keys.items()))
 
 
 def comparison(**changes: Any) -> Noting:

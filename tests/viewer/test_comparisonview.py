@@ -22,6 +22,7 @@ from glstar.viewer.picture.comparison import (
     save_view,
 )
 from glstar.viewer.picture.view import Stretch, StretchKind
+from tests.support.viewerdoubles import Clock
 
 ASINH = Stretch(StretchKind.ASINH)
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26
@@ -31,13 +32,6 @@ REAL = np.random.default_rng(2).integers(0, 256, (24, 32), dtype=np.uint8)
 
 def grey(dn: np.ndarray) -> np.ndarray:
     return np.dstack([dn, dn, dn])
-
-
-class Clock:
-    now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 @pytest.fixture

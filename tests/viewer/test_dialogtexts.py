@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import ImageFormat
 from glstar.viewer.flight.loaded import MissingInputs
@@ -14,6 +13,7 @@ from glstar.viewer.session.memory import Place
 from glstar.viewer.session.recording import RangeVideo, VideoRange
 from glstar.viewer.ui import dialogs, guide
 from tests.support.scriptedimgui import ScriptedImgui, scripted
+from tests.support.viewerdoubles import dialog_session as session
 
 UTC_S = 1710068404.678
 
@@ -23,18 +23,6 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> ScriptedImgui:
     drawn = scripted(monkeypatch, dialogs, guide)
     monkeypatch.setattr(dialogs.time, "time", lambda: UTC_S)
     return drawn
-
-
-def session(tmp_path: Path = Path("out"), **changes: Any) -> SimpleNamespace:
-    said: list[Any] = []
-    head = SimpleNamespace(origin_s=1000.0, first_s=1000.0, last_s=1060.0, length_s=60.0, part=(1012.5, 1040.25))
-    values = {"head": head, "flight": SimpleNamespace(name="flight"), "config": Config(), "output": tmp_path}
-    values |= {"video": None, "live": None, "loaded": SimpleNamespace(path=None), "missing": None, "status": ""}
-    values |= {"said": said, "notify": lambda text, *, is_error=False: said.append((text, is_error))}
-    values["cancel_missing"] = lambda: said.append("cancelled")
-    values["open_flight"] = said.append
-    values["loader"] = SimpleNamespace(is_busy=False)
-    return SimpleNamespace(**values | changes)
 
 
 # --- files ---

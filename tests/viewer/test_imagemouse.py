@@ -10,10 +10,12 @@ from imgui_bundle import ImVec2
 
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.content import WindowPlace
-from glstar.viewer.picture.view import ImageView
 from glstar.viewer.ui.panels import image as imagepanel
 from glstar.viewer.ui.panels import imagelayers
 from tests.support.scriptedimgui import ScriptedImgui, scripted
+from tests.support.viewerdoubles import image_panel as panel
+from tests.support.viewerdoubles import image_session as session
+from tests.support.viewerdoubles import placed
 
 # A picture of 100 x 80 px in a panel of 400 x 300 at (40, 60), magnified 3.75 times.
 CORNER = np.array([40.0, 60.0])
@@ -31,45 +33,12 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> ScriptedImgui:
     return drawn
 
 
-def placed() -> ImageView:
-    view = ImageView()
-    view.resize(100, 80, 400.0, 300.0)
-    return view
-
-
-class Look(SimpleNamespace):
-    """Notes what is done with the free camera."""
-
-    label = "looking around: az 12.0"
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *what: self.done.append((name, *what))
-
-
-def session(**changes: Any) -> SimpleNamespace:
-    values = {"view": placed(), "scene": "scene", "status": "", "is_looking": False, "night": False}
-    values |= {"shown": SimpleNamespace(size_px=(100, 80)), "look": Look(done=[]), "is_playing": False, "real": None}
-    values |= {"image": SimpleNamespace(pixels=np.arange(8000, dtype=np.uint16).reshape(80, 100), simulator="own")}
-    values |= {"loader": SimpleNamespace(path=None), "stale_s": None, "conditions": None, "shown_overlays": set()}
-    values["comparison"] = SimpleNamespace(active=False, mode=ComparisonMode.OFF, wipe=0.5, blinks_noise=False)
-    return SimpleNamespace(**values | changes)
-
-
 @pytest.fixture
 def chosen(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return a list of the positions at which a star is selected."""
     positions: list[Any] = []
     monkeypatch.setattr(imagepanel, "_select_star", lambda _s, _o, at: positions.append(at.tolist()))
     return positions
-
-
-def panel() -> imagepanel.ImagePanel:
-    made = imagepanel.ImagePanel.__new__(imagepanel.ImagePanel)
-    made._selection, made._visible, made.has_readout = SimpleNamespace(selected=None), None, True
-    made._panel_px = (0, 0, 0, 0)
-    made._picture = SimpleNamespace(is_new=False, show=lambda *what: made.shows.append(what) or made.texture)
-    made.shows, made.texture = [], 7
-    return made
 
 
 def test_the_wheel_zooms_at_the_mouse_and_a_drag_moves_the_image(drawn: ScriptedImgui, chosen: list[Any]) -> None:

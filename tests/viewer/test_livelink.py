@@ -22,19 +22,12 @@ from glstar.viewer.flight.loaded import (
     MissingInputs,
 )
 from glstar.viewer.flight.playhead import Mode
-from tests.viewer.test_actions import Noting
+from tests.support.viewerdoubles import Clock, Noting
 
 # --- navigators ---
 
 PERFECT, IMPERFECT = Config(), Config().override(**{"navigator.roll_bias_deg": 2.0})
 SCENE = SimpleNamespace(exposure=SimpleNamespace(start_utc_s=1004.5, mid_utc_s=1004.75, stop_utc_s=1005.0))
-
-
-class Clock:
-    now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from glstar.config import Config
 from glstar.viewer.flight import navigator as navigatormodule
 from glstar.viewer.flight.navigator import NavigatorView
 from glstar.viewer.overlays.belief import Belief, PlacedAnswer, angle_label
-from tests.viewer.test_actions import Noting
+from tests.support.viewerdoubles import Noting
 
 # --- navigators ---
 

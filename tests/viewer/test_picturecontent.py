@@ -17,6 +17,7 @@ from glstar.viewer.picture.comparison import LESS_RGB, MORE_RGB, ComparisonMode,
 from glstar.viewer.picture.content import PanelContent, PanelPicture, Picture, WindowPlace
 from glstar.viewer.picture.simulated import SimulatedImage
 from glstar.viewer.picture.view import ColourMap, ImageView, Stretch, StretchKind
+from tests.support.viewerdoubles import Clock
 
 REAL = FittedImage(np.zeros((80, 100), np.uint8), 3, 4, 95, 71)
 
@@ -353,13 +354,6 @@ def test_a_caption_is_grey_and_wraps_nothing() -> None:
 
 
 # --- times ---
-
-
-class Clock:
-    now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 def test_the_times_of_frames_are_reported_without_the_first() -> None:

@@ -17,7 +17,7 @@ from glstar.viewer.session import memory, recording, saving
 from glstar.viewer.session.memory import Place, WindowMemory
 from glstar.viewer.session.recording import BackgroundExport, RangeVideo, ScreenVideo, VideoRange
 from glstar.viewer.session.saving import PictureAction
-from tests.viewer.test_actions import Noting
+from tests.support.viewerdoubles import Noting
 
 
 def session(tmp_path: Path, **changes: Any) -> Noting:

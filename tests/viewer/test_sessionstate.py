@@ -15,9 +15,7 @@ from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.session import state
 from glstar.viewer.session.state import Session
-from tests.viewer.test_actions import Noting
-
-SECTION = ExposureSection(duration_s=0.5, interval_s=3.0)
+from tests.support.viewerdoubles import SECTION, Noting, flight, said
 
 
 @pytest.fixture
@@ -26,29 +24,6 @@ def session(tmp_path: Path) -> Any:
     yield made
     made.live = made.export = made.video = None
     made.close()
-
-
-def said(session: Session) -> list[tuple[str, bool]]:
-    """Return the messages since the last call."""
-    current = [(each.message, each.is_error) for each in session.notifications.current]
-    for each in list(session.notifications.current):
-        session.notifications.dismiss(each)
-    return current
-
-
-def attitude(first_s: float = 1000.0, last_s: float = 1060.0, gaps: dict[float, str] | None = None) -> SimpleNamespace:
-    found = gaps or {}
-    return SimpleNamespace(
-        first_s=first_s, last_s=last_s, gap_within=lambda start_s, stop_s: found.get(start_s) or found.get(stop_s)
-    )
-
-
-def flight(**changes: Any) -> Noting:
-    """Return a loaded flight of 60 s."""
-    inner = SimpleNamespace(attitude=attitude(), time_offset_s=0.25, notes=("a note",), name="night.bin")
-    values = {"flight": inner, "head": PlayHead(1000.0, 1060.0, SECTION), "is_live": False, "path": Path("night.bin")}
-    values |= {"given": {}, "config": Config(), "simulator": SimpleNamespace(flight=inner), "done": []}
-    return Noting(**values | changes)
 
 
 # --- what is opened ---

@@ -16,7 +16,7 @@ from glstar.viewer.loop import Script, Viewer
 from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.session.memory import Place, WindowMemory
 from glstar.viewer.session.saving import PictureAction
-from tests.viewer.test_actions import Noting
+from tests.support.viewerdoubles import Noting
 
 
 class Clock:

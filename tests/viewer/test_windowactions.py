@@ -13,7 +13,8 @@ from glstar.viewer.skyobjects import ObjectKind, SkyObject
 from glstar.viewer.ui import interface, layout
 from glstar.viewer.ui.layout import Panels
 from tests.support.scriptedimgui import ScriptedImgui, scripted
-from tests.viewer.test_actions import Noting
+from tests.support.viewerdoubles import Noting
+from tests.support.viewerdoubles import window_session as session
 
 
 @pytest.fixture
@@ -25,21 +26,6 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> ScriptedImgui:
 
 
 # --- panels ---
-
-
-def session(**changes: Any) -> Noting:
-    said: list[Any] = []
-    values: dict[str, Any] = {"said": said, "notify": lambda text, *, is_error=False: said.append((text, is_error))}
-    values |= {
-        "live": None,
-        "loaded": None,
-        "head": None,
-        "night": False,
-        "shown_overlays": {Overlay.HORIZON},
-        "done": [],
-    }
-    values["comparison"] = SimpleNamespace(images=None, ahead_s=0.0, image_at=lambda _: None)
-    return Noting(**values | changes)
 
 
 @pytest.fixture

@@ -9,14 +9,14 @@ import pytest
 from imgui_bundle import ImVec2, imgui
 
 from glstar.config import Config
-from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.session.keys import KEYS, MENUS, Action
 from glstar.viewer.session.memory import SettingsHistory
 from glstar.viewer.session.saving import PictureAction
 from glstar.viewer.ui import interface, layout, theme
 from glstar.viewer.ui.interface import Interface, Keyboard
 from tests.support.scriptedimgui import ScriptedImgui, scripted
-from tests.viewer.test_actions import Noting
+from tests.support.viewerdoubles import Noting
+from tests.support.viewerdoubles import window_session as session
 
 
 @pytest.fixture
@@ -25,21 +25,6 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> ScriptedImgui:
     drawn.docked = True
     drawn.is_window_docked = lambda: drawn.docked
     return drawn
-
-
-def session(**changes: Any) -> Noting:
-    said: list[Any] = []
-    values: dict[str, Any] = {"said": said, "notify": lambda text, *, is_error=False: said.append((text, is_error))}
-    values |= {
-        "live": None,
-        "loaded": None,
-        "head": None,
-        "night": False,
-        "shown_overlays": {Overlay.HORIZON},
-        "done": [],
-    }
-    values["comparison"] = SimpleNamespace(images=None, ahead_s=0.0, image_at=lambda _: None)
-    return Noting(**values | changes)
 
 
 @pytest.fixture
